@@ -27,6 +27,7 @@ use crate::config::{Deployment, RobotSection};
 use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
+use crate::tasks::boxed;
 
 /// Time limit for all parts to end.
 const DRAIN: Duration = Duration::from_secs(8);
@@ -168,7 +169,7 @@ impl Parts {
     {
         let (shutdown, waiting) = (self.shutdown.clone(), Arc::clone(&self.waiting));
         waiting.send_modify(|count| *count += 1);
-        self.tasks.spawn(async move {
+        self.tasks.spawn(boxed(async move {
             // A part waits for a missing router or world, but shutdown must not.
             let opened = tokio::select! {
                 opened = opening => opened,
@@ -182,7 +183,7 @@ impl Parts {
             let result = part(bus.clone(), with, shutdown).await;
             bus.close().await;
             (name, result)
-        });
+        }));
     }
 
     /// Starts the deployment's robots. Those simulated here share one world and its time; returns their referees, in order of their ids.
@@ -421,7 +422,7 @@ impl Parts {
             let has_others = configs.len() > 1;
             for config in configs {
                 let (bus, clock, shutdown) = (bus.clone(), clock.clone(), shutdown.clone());
-                missions.spawn(async move { keep_mission(bus, clock, config, shutdown, has_others).await });
+                missions.spawn(boxed(keep_mission(bus, clock, config, shutdown, has_others)));
             }
             while let Some(ended) = missions.join_next().await {
                 ended.map_err(|error| Failure::failed(format!("a mission broke off: {error}")))??;

@@ -22,6 +22,7 @@ use crate::completion;
 use crate::config::IdentityArgs;
 use crate::exit_code;
 use crate::failure::{Failure, in_words};
+use crate::tasks;
 
 pub use zenav_protocol::bus::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 
@@ -252,7 +253,7 @@ pub fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, 
         .worker_threads(2)
         .enable_all()
         .build()?;
-    let result = runtime.block_on(work);
+    let result = tasks::block_on(&runtime, work);
     // A thread blocked on the keyboard must not delay the exit.
     runtime.shutdown_background();
     result

@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use flate2::read::MultiGzDecoder;
 use zenav_edge::trackers::Law;
-use zenav_mapping::atomic;
-use zenav_mapping::map_file::{self, MapFileError};
+use zenav_mapping::MapFileError;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::robot::{self, Footprint, RobotError, RobotModel};
@@ -111,7 +110,7 @@ pub fn writable(path: &Path) -> Result<(), Failure> {
 /// # Errors
 /// A file that cannot be written, with its name.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    atomic::write_atomically(path, bytes).map_err(Failure::failed)
+    zenav_mapping::write_atomically(path, bytes).map_err(Failure::failed)
 }
 
 /// A failure to write a map, reported with this file's name instead of the name of its image, which is written first; for `map_err`.
@@ -210,7 +209,8 @@ fn read_world(name: &str) -> Result<World, Failure> {
         return Ok(map_world(&stem, map(path)?));
     }
     let folder = path.parent().unwrap_or_else(|| Path::new("."));
-    let load = |yaml: &str| map_file::read_map(&folder.join(yaml), BARE_RESOLUTION).map_err(|error| error.to_string());
+    let load =
+        |yaml: &str| zenav_mapping::read_map(&folder.join(yaml), BARE_RESOLUTION).map_err(|error| error.to_string());
     let is_picture = matches!(ending(path).as_str(), "png" | "pgm");
     let text = String::from_utf8(bytes_within(path, MAX_TEXT)?).ok();
     let text = text.filter(|_| !is_picture).ok_or_else(|| {
@@ -261,7 +261,7 @@ pub fn map(path: &Path) -> Result<OccupancyGrid, Failure> {
         return Err(Failure::not_found(format!("{}: no such map file", path.display())));
     }
     let resolution = if ending(path) == "map" { 1.0 } else { BARE_RESOLUTION };
-    map_file::read_map(path, resolution).map_err(Failure::usage)
+    zenav_mapping::read_map(path, resolution).map_err(Failure::usage)
 }
 
 #[cfg(test)]

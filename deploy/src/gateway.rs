@@ -18,6 +18,7 @@ use crate::failure::{Failure, Outcome};
 use crate::health::HealthArgs;
 use crate::inspect::serve_schemas;
 use crate::launch::{runtime, until_interrupted};
+use crate::tasks;
 
 /// Longest wait for a first robot before the address is printed.
 const FIRST_ROBOT: Duration = Duration::from_secs(5);
@@ -136,7 +137,7 @@ impl Parts {
             return Ok(());
         };
         let (address, first_robot) = (gateway.address().to_owned(), gateway.first_robot());
-        tokio::spawn(async move {
+        tasks::spawn(async move {
             let _ = tokio::time::timeout(FIRST_ROBOT, first_robot).await;
             tell(&address);
         });
@@ -207,7 +208,7 @@ pub fn gateway(args: &GatewayArgs) -> Outcome {
     let world = layers.world(args.world.as_deref())?;
     let security = args.security.security_of(&deployment)?;
     security.check_role("`zenav gateway`", &PAGE)?;
-    let ended = runtime()?.block_on(async {
+    let ended = tasks::block_on(&runtime()?, async {
         args.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.told_gateway(&deployment, &world).await?;

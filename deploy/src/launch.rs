@@ -22,6 +22,7 @@ use crate::health::HealthArgs;
 use crate::inspect::serve_schemas;
 use crate::record::{self, LiveView};
 use crate::rest;
+use crate::tasks;
 
 /// Known map that mapping starts with.
 #[derive(Debug, Default, Args)]
@@ -283,11 +284,11 @@ impl Ended {
 pub(crate) async fn until_interrupted(mut parts: Parts) -> Result<Ended, Failure> {
     let begun = parts.all_begun();
     let security = parts.security().clone();
-    tokio::spawn(async move {
+    tasks::spawn(async move {
         begun.await;
         service_manager::ready();
     });
-    let mut interrupt = tokio::spawn(interrupted());
+    let mut interrupt = tasks::spawn(interrupted());
     let result = tokio::select! {
         _ = &mut interrupt => {
             tracing::info!("stopping");
@@ -372,7 +373,7 @@ pub fn up(args: &UpArgs) -> Outcome {
         security.check_role("a deployment with its router in one process", &[Role::Router])?;
     }
     free_robot_endpoint(&mut deployment);
-    let ended = runtime()?.block_on(async {
+    let ended = tasks::block_on(&runtime()?, async {
         args.health.serve(&security).await?;
         let router = if deployment.router.enabled {
             let rest = args.outside.rest.as_ref().unwrap_or(&deployment.router.rest);
@@ -508,7 +509,7 @@ pub fn router(args: &RouterArgs) -> Outcome {
         ..RouterConfig::default()
     };
     config.security.check_role("`zenav router`", &[Role::Router])?;
-    let ended = runtime()?.block_on(async {
+    let ended = tasks::block_on(&runtime()?, async {
         args.health.serve(&config.security).await?;
         let router = open_router(&config, args.outside.rest.as_deref().unwrap_or_default()).await?;
         service_manager::ready();
@@ -518,7 +519,7 @@ pub fn router(args: &RouterArgs) -> Outcome {
                 None => std::future::pending().await,
             }
         };
-        let mut interrupt = tokio::spawn(interrupted());
+        let mut interrupt = tasks::spawn(interrupted());
         let ended = tokio::select! {
             _ = &mut interrupt => Ended::Done,
             () = outdated => Ended::Outdated,
@@ -550,7 +551,7 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
     args.begin.apply(&mut deployment)?;
     let world = layers.world(args.part.world.as_deref())?;
     let security = args.security.security_of(&deployment)?;
-    let ended = runtime()?.block_on(async {
+    let ended = tasks::block_on(&runtime()?, async {
         args.part.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.edges(&deployment, &world, args.attach_to.as_deref())?;
@@ -578,7 +579,7 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
         .unwrap_or_else(|| format!("worker-{}", std::process::id()));
     let security = args.security.security_of(&deployment)?;
     security.check_role("`zenav cloud`", &[Role::Service, Role::Router])?;
-    let ended = runtime()?.block_on(async {
+    let ended = tasks::block_on(&runtime()?, async {
         args.part.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.cloud(&deployment, &world, args.service, &worker)?;

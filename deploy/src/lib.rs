@@ -29,7 +29,7 @@
 //! | `files` | worlds, robots and maps by file or shipped name |
 //! | `drawing` | pictures: maps, worlds, films, trees |
 //! | `completion` | names that a shell offers: shipped ones, and those on the bus |
-//! | `parallel` | independent jobs on several threads |
+//! | `parallel`, `tasks` | independent jobs on several threads; futures for Tokio |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
 pub mod annotations;
@@ -66,6 +66,7 @@ pub mod record;
 pub mod report;
 mod rest;
 pub mod slam;
+mod tasks;
 pub mod wall_following;
 pub mod world_server;
 

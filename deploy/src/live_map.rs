@@ -18,6 +18,7 @@ use crate::drawing::terminal::{self, Mark, Screen};
 use crate::failure::Failure;
 use crate::freshness::{Ages, Heard, RouterLink, dimmed};
 use crate::output::hundredths;
+use crate::tasks;
 
 /// Period of pictures.
 const PERIOD: Duration = Duration::from_millis(200);
@@ -143,7 +144,7 @@ impl LiveMap {
     /// Draws above a progress bar made by [`crate::output::spinner`], in as many rows as the terminal has.
     pub fn above(mut self, bar: &ProgressBar) -> Drawing {
         let bar = bar.downgrade();
-        let task = tokio::spawn(async move {
+        let task = tasks::spawn(async move {
             let mut pace = tokio::time::interval(PERIOD);
             pace.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
             loop {

@@ -95,8 +95,8 @@ pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips:
 pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> String) -> Outcome {
     let text = match format {
         Format::Table => table(value),
-        Format::Json => serde_json::to_string_pretty(value).map_err(Failure::failed)?,
-        Format::Ndjson => serde_json::to_string(value).map_err(Failure::failed)?,
+        Format::Json => pretty(value)?,
+        Format::Ndjson => compact(value)?,
     };
     line(text.trim_end_matches('\n'));
     Ok(exit_code::OK)
@@ -107,15 +107,74 @@ pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> 
 /// # Errors
 /// A value cannot be written as JSON.
 pub fn values<T: Serialize>(format: Format, values: &[T], table: impl FnOnce(&[T]) -> String) -> Outcome {
-    match format {
-        Format::Ndjson => {
-            for one in values {
-                value(Format::Ndjson, one, |_| String::new())?;
-            }
-            Ok(exit_code::OK)
-        }
-        other => value(other, &values, |values| table(values)),
+    if format == Format::Table {
+        line(table(values).trim_end_matches('\n'));
+        return Ok(exit_code::OK);
     }
+    let texts: Vec<String> = values.iter().map(compact).collect::<Result<_, _>>()?;
+    match format {
+        Format::Ndjson => texts.iter().for_each(|text| line(text)),
+        _ => line(&indented(&format!("[{}]", texts.join(",")))),
+    }
+    Ok(exit_code::OK)
+}
+
+/// A value as JSON in one line.
+fn compact<T: Serialize>(value: &T) -> Result<String, Failure> {
+    serde_json::to_string(value).map_err(Failure::failed)
+}
+
+/// A value as JSON in indented lines.
+///
+/// # Errors
+/// The value cannot be written as JSON.
+pub(crate) fn pretty<T: Serialize>(value: &T) -> Result<String, Failure> {
+    compact(value).map(|text| indented(&text))
+}
+
+/// JSON without spaces in the form of [`serde_json::to_string_pretty`], which would compile a second serializer for every type.
+fn indented(compact: &str) -> String {
+    let mut text = String::with_capacity(2 * compact.len());
+    let (mut depth, mut is_quoted, mut is_escaped) = (0_usize, false, false);
+    let new_line = |text: &mut String, depth: usize| {
+        text.push('\n');
+        text.push_str(&"  ".repeat(depth));
+    };
+    let mut letters = compact.chars().peekable();
+    while let Some(letter) = letters.next() {
+        if is_quoted {
+            text.push(letter);
+            is_quoted = letter != '"' || is_escaped;
+            is_escaped = letter == '\\' && !is_escaped;
+            continue;
+        }
+        match letter {
+            '[' | '{' => {
+                text.push(letter);
+                if let Some(end) = letters.next_if(|next| matches!(next, ']' | '}')) {
+                    text.push(end);
+                } else {
+                    depth += 1;
+                    new_line(&mut text, depth);
+                }
+            }
+            ']' | '}' => {
+                depth = depth.saturating_sub(1);
+                new_line(&mut text, depth);
+                text.push(letter);
+            }
+            ',' => {
+                text.push(letter);
+                new_line(&mut text, depth);
+            }
+            ':' => text.push_str(": "),
+            _ => {
+                text.push(letter);
+                is_quoted = letter == '"';
+            }
+        }
+    }
+    text
 }
 
 /// A value rounded to hundredths; a rounded zero has no sign.
@@ -190,9 +249,15 @@ impl std::io::Write for LogWriter {
 #[must_use]
 pub fn table<R: AsRef<[String]>>(header: &[&str], rows: impl IntoIterator<Item = R>) -> String {
     let rows: Vec<R> = rows.into_iter().collect();
+    let cells: Vec<&[String]> = rows.iter().map(|row| row.as_ref()).collect();
+    aligned(header, &cells)
+}
+
+/// As [`table`], compiled once for all kinds of rows.
+fn aligned(header: &[&str], rows: &[&[String]]) -> String {
     let width = |column: usize| {
         rows.iter()
-            .filter_map(|row| row.as_ref().get(column))
+            .filter_map(|row| row.get(column))
             .map(|cell| cell.chars().count())
             .chain([header[column].chars().count()])
             .max()
@@ -207,9 +272,28 @@ pub fn table<R: AsRef<[String]>>(header: &[&str], rows: impl IntoIterator<Item =
         padded.join("  ").trim_end().to_owned()
     };
     let mut lines = vec![print(&mut header.iter().copied())];
-    lines.extend(
-        rows.iter()
-            .map(|row| print(&mut row.as_ref().iter().map(String::as_str))),
-    );
+    lines.extend(rows.iter().map(|row| print(&mut row.iter().map(String::as_str))));
     lines.join("\n")
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn json_is_indented_as_serde_json_does_it() {
+        for value in [
+            json!(null),
+            json!("a, {b}: [c]"),
+            json!([]),
+            json!({}),
+            json!([[], {}, [1, -2.5e-7, [true, null]]]),
+            json!({ "a": { "b": [{ "c": {} }] }, "d\"e\\": "\\\" : , [ {\n é ] }\\" }),
+        ] {
+            assert_eq!(pretty(&value).unwrap(), serde_json::to_string_pretty(&value).unwrap());
+        }
+    }
 }

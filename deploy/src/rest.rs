@@ -25,6 +25,7 @@ use zenav_protocol::bus::{Bus, BusError, RawReply, RawSample};
 use zenav_protocol::topics::{ANNOTATE, Asker, EDGE_LOG, LOCALISE, MAP, MODE, PARAM, PART_LOG, Row, row_of};
 
 use crate::failure::Failure;
+use crate::tasks;
 
 /// Default address: that of Zenoh's own REST plugin, on loopback.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:8000";
@@ -68,7 +69,7 @@ pub async fn start(listen: &str, bus: Bus) -> Result<SocketAddr, Failure> {
         .method_not_allowed_fallback(read_only)
         .fallback(async || said(StatusCode::NOT_FOUND, "expected a key: GET /zenav/ROBOT/edge/pose"))
         .with_state(shared);
-    tokio::spawn(async move {
+    tasks::spawn(async move {
         if let Err(error) = zenav_gateway::serve(listener, router, std::future::pending()).await {
             tracing::error!(%error, "REST ended");
         }

@@ -87,6 +87,7 @@ impl BodyClock {
             return Err(NotNow::Old { got, shown });
         }
         let count = match self.leap {
+            Some((before, count)) if stamp == before => count,
             Some((before, count)) if follows(before) => count + 1,
             _ => 1,
         };
@@ -134,6 +135,15 @@ mod tests {
             assert!(clock.judge(forged).is_err() && clock.judge(forged).is_err());
             assert_eq!(clock.judge(at(1.04)), Ok(()), "the same stamp again confirms nothing");
         }
+    }
+
+    #[test]
+    fn a_repeated_stamp_neither_confirms_a_leap_nor_denies_it() {
+        let mut clock = running();
+        for secs in [60.0, 60.0, 60.02, 60.02] {
+            assert!(clock.judge(at(secs)).is_err());
+        }
+        assert_eq!(clock.judge(at(60.04)), Ok(()));
     }
 
     #[test]

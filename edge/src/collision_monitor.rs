@@ -22,7 +22,7 @@ use zenav_protocol::time::Stamp;
 use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
 use crate::passive_safety::{
-    LEAST_CLEARANCE, Motion, Mover, closing_speed, contact_point, fastest_outward, share_beside,
+    BrakingMotion, LEAST_CLEARANCE, Mover, closing_speed, contact_point, fastest_outward, share_beside,
 };
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
@@ -293,8 +293,8 @@ impl CollisionMonitor {
         corners.map(|corner| corner.person(&base_from_odom, speed)).collect()
     }
 
-    fn motion(&self, wanted: Twist2, age: f64) -> Motion<'_> {
-        Motion::new(
+    fn motion(&self, wanted: Twist2, age: f64) -> BrakingMotion<'_> {
+        BrakingMotion::new(
             &self.model.footprint,
             &self.model.drive,
             wanted,

@@ -1,16 +1,15 @@
 //! Control loop. When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick
-//! is skipped and counted, never caught up. The loop never waits for the network. Readings from before the last ones are none: the robot
-//! brakes.
+//! is skipped and counted, never caught up. The loop never waits for the network. Readings whose stamp cannot be the body's true time
+//! ([`BodyClock`]) are none: the robot brakes.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 
 use crate::body::{Body, BodyError};
-use crate::body_clock::NotNow;
+use crate::body_clock::{BodyClock, NotNow};
 use crate::handoff::Handoff;
 use crate::metrics::ControlMetrics;
 use crate::pilot::Pilot;
@@ -19,6 +18,8 @@ use crate::pilot::Pilot;
 const HALTING_TICKS: u32 = 150;
 /// Speed below which the body counts as at rest, m/s.
 const AT_REST: f64 = 0.01;
+/// Most ticks for which the first readings may be unconfirmed before that is a fault.
+const CONFIRMING_TICKS: u32 = 10;
 /// Period of blind ticks while no readings come: the longest wait of a request, and the period at which the robot reports the fault.
 const BLIND_PERIOD: Duration = Duration::from_millis(100);
 
@@ -76,19 +77,17 @@ impl Pace {
     }
 }
 
-/// The readings, unless the body's clock was set back: everything that has a deadline would then last for as long again.
-fn in_order(readings: Readings, last: Stamp) -> Result<Readings, BodyError> {
-    if readings.stamp >= last {
-        return Ok(readings);
-    }
-    let (got, shown) = (readings.stamp.as_secs(), last.as_secs());
-    Err(BodyError(NotNow::Old { got, shown }.to_string()))
+/// Judges readings, of which the last ones used are of `last`. With a clock that was set back everything that has a deadline would last for
+/// as long again; after readings of the far future all others would be old.
+fn judge(stamp: Stamp, last: Stamp, clock: &mut BodyClock) -> Result<(), NotNow> {
+    // A body without new readings may repeat its last ones.
+    if stamp == last { Ok(()) } else { clock.judge(stamp) }
 }
 
 /// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, s; `speed` is the rate of its time
 /// against wall time.
 pub(crate) fn run(
-    body: Box<dyn Body>,
+    (body, mut clock): (Box<dyn Body>, BodyClock),
     mut pilot: Pilot,
     handoff: &Arc<Handoff>,
     (tick, speed): (f64, f64),
@@ -104,6 +103,7 @@ pub(crate) fn run(
     let mut pace = Pace { period, last: None };
     let mut missed_ticks = 0;
     let mut halting = 0;
+    let mut unconfirmed = 0;
     let mut failing = false;
     let mut blind: Option<Instant> = None;
     loop {
@@ -114,8 +114,19 @@ pub(crate) fn run(
             missed_ticks += missed;
             late = Some(by);
         }
-        let last = pilot.now();
-        let readings = match body.0.read().and_then(|readings| in_order(readings, last)) {
+        let read = match body.0.read() {
+            Ok(readings) => match judge(readings.stamp, pilot.now(), &mut clock) {
+                Ok(()) => Ok(readings),
+                // The robot has not set out yet, and two more readings confirm the first.
+                Err(NotNow::First(_)) if unconfirmed < CONFIRMING_TICKS && !halt.load(Ordering::Relaxed) => {
+                    unconfirmed += 1;
+                    continue;
+                }
+                Err(not_now) => Err(BodyError(not_now.to_string())),
+            },
+            Err(error) => Err(error),
+        };
+        let readings = match read {
             Ok(readings) => readings,
             Err(error) => {
                 if !std::mem::replace(&mut failing, true) {
@@ -168,18 +179,21 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::id::Id;
     use zenav_protocol::messages::{EdgeState, LostPolicy};
+    use zenav_protocol::readings::Readings;
     use zenav_protocol::robot::RobotModel;
 
     use super::*;
     use crate::config::{EdgeConfig, TICK};
     use crate::control_io::{Persisted, Publication};
 
-    /// Readings until the body's clock is set back, and after that.
+    /// Readings until the body's clock goes wrong, and after that.
     const READINGS: [u32; 2] = [400, 20];
 
-    /// A perfect body in a square room, whose clock is set back; it ends the loop some readings later.
-    struct SetBack {
+    /// A perfect body in a square room, whose clock goes wrong; it ends the loop some readings later.
+    struct WrongClock {
         model: RobotModel,
+        /// Its time at the nth reading, h.
+        hours: fn(u32) -> f64,
         read: u32,
         pose: Pose2,
         angles: [f64; 2],
@@ -188,19 +202,13 @@ mod tests {
         halt: Arc<AtomicBool>,
     }
 
-    impl SetBack {
-        fn is_set_back(&self) -> bool {
-            self.read > READINGS[0]
-        }
-    }
-
-    impl Body for SetBack {
+    impl Body for WrongClock {
         fn read(&mut self) -> Result<Readings, BodyError> {
             self.read += 1;
             if self.read > READINGS[0] + READINGS[1] {
                 self.halt.store(true, Ordering::Relaxed);
             }
-            let hours = if self.is_set_back() { 1.0 } else { 2.0 };
+            let hours = (self.hours)(self.read);
             let stamp = Stamp::from_secs(3600.0 * hours + TICK * f64::from(self.read));
             let sweep = self.read.is_multiple_of(5).then(|| {
                 let lidar = self.model.first_lidar().unwrap();
@@ -214,7 +222,7 @@ mod tests {
         }
 
         fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError> {
-            let after = usize::from(self.is_set_back());
+            let after = usize::from(self.read > READINGS[0]);
             self.commands.lock().unwrap()[after].push(wheels);
             self.angles = [0, 1].map(|side: usize| self.angles[side] + TICK * wheels[side]);
             self.pose = self.pose.advance(self.model.drive.twist(wheels), TICK);
@@ -226,28 +234,35 @@ mod tests {
         }
     }
 
-    #[tokio::test]
-    async fn a_robot_whose_clock_is_set_back_stands_still_and_says_why() {
+    /// What a robot that follows walls by itself commands before and after its clock goes wrong, and the loop's last messages.
+    fn driven(hours: fn(u32) -> f64) -> ([Vec<[f64; 2]>; 2], Arc<Handoff>) {
         let model = zenav_fixtures::robot("tiago");
-        // It follows walls by itself.
         let config = EdgeConfig {
             on_lost: LostPolicy::WallFollow,
             ..EdgeConfig::new(Id::robot("tiago").unwrap(), model.clone(), Pose2::IDENTITY)
         };
         let (commands, halt) = (Arc::default(), Arc::new(AtomicBool::new(false)));
-        let body = SetBack {
+        let body = WrongClock {
             model,
+            hours,
             read: 0,
             pose: Pose2::IDENTITY,
             angles: [0.0; 2],
             commands: Arc::clone(&commands),
             halt: Arc::clone(&halt),
         };
+        let clock = BodyClock::new(config.settings.body.longest_step);
         let pilot = Pilot::new(config, "boot-1".into(), Persisted::default());
         let (handoff, metrics) = (Arc::new(Handoff::default()), ControlMetrics::new("tiago"));
-        run(Box::new(body), pilot, &handoff, (TICK, 1.0), &halt, &metrics);
-        let [before, after] = std::mem::take(&mut *commands.lock().unwrap());
-        assert!(before.iter().any(|wheels| *wheels != [0.0; 2]), "it drove");
+        run((Box::new(body), clock), pilot, &handoff, (TICK, 1.0), &halt, &metrics);
+        let commands = std::mem::take(&mut *commands.lock().unwrap());
+        assert!(commands[0].iter().any(|wheels| *wheels != [0.0; 2]), "it drove");
+        (commands, handoff)
+    }
+
+    #[tokio::test]
+    async fn a_robot_whose_clock_is_set_back_stands_still_and_says_why() {
+        let ([_, after], handoff) = driven(|nth: u32| if nth > READINGS[0] { 1.0 } else { 2.0 });
         assert!(after.iter().all(|wheels| *wheels == [0.0; 2]), "{after:?}");
         let published = handoff.bundle().await.unwrap().publications;
         let state = published.iter().find_map(|publication| match publication {
@@ -256,5 +271,15 @@ mod tests {
         });
         let fault = state.and_then(|EdgeState { faults, .. }| faults.body.as_deref());
         assert!(fault.is_some_and(|why| why.contains("began anew")), "{fault:?}");
+    }
+
+    #[test]
+    fn one_reading_of_the_far_future_does_not_stop_the_robot() {
+        let first = |nth: u32| if nth == 1 { 1e4 } else { 2.0 };
+        let later = |nth: u32| if nth == READINGS[0] + 1 { 1e4 } else { 2.0 };
+        for hours in [first as fn(u32) -> f64, later] {
+            let ([_, after], _) = driven(hours);
+            assert!(after.iter().take(20).any(|wheels| *wheels != [0.0; 2]), "{after:?}");
+        }
     }
 }

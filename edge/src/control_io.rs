@@ -54,8 +54,8 @@ pub struct Persisted {
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Publication {
-    /// A scan of the lidar of this name, with the poses at its own stamp.
-    Scan(String, Scan),
+    /// A scan of the further lidar of this name, or of the main one if there is no name, with the poses at its own stamp.
+    Scan(Option<String>, Scan),
     /// Odometry by dead reckoning.
     Odometry(Odometry),
     /// Gyro and compass.

@@ -70,12 +70,12 @@ impl Course {
 
 /// The path of a track over some moments, as a polyline of a few points.
 #[derive(Clone, Copy, Debug)]
-pub struct Way {
+pub struct PredictedPath {
     points: [Point2<f64>; 4],
     count: usize,
 }
 
-impl Way {
+impl PredictedPath {
     pub(crate) fn straight(first: Point2<f64>, last: Point2<f64>) -> Self {
         let points = [first, last, last, last];
         Self { points, count: 2 }

@@ -15,7 +15,7 @@ const IN_SIGHT: f64 = 0.05;
 /// Inputs of the decision to stand still.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SettlingInput {
-    /// Now.
+    /// Time of this tick.
     pub(crate) now: Stamp,
     /// Odometry frame, m.
     pub(crate) place: Point2<f64>,

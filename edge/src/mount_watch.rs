@@ -45,15 +45,15 @@ pub(crate) struct MountWatch {
 /// One lidar.
 #[derive(Clone, Debug, Default)]
 struct Watched {
-    earlier: Option<Look>,
+    earlier: Option<PosedScan>,
     /// Its yaw beyond the file's, by the newest pairs, rad.
     angles: VecDeque<f64>,
     is_off: bool,
 }
 
-/// A scan.
+/// A scan, and the pose of the base that it was taken at.
 #[derive(Clone, Debug)]
-struct Look {
+struct PosedScan {
     odom_from_base: Pose2,
     /// The returns of its beams, laser frame.
     points: Vec<Option<Point2<f64>>>,
@@ -78,7 +78,7 @@ impl MountWatch {
         let went = watched
             .earlier
             .as_ref()
-            .map(|look| look.odom_from_base.inverse() * odom_from_base);
+            .map(|scan| scan.odom_from_base.inverse() * odom_from_base);
         let is_straight = went.is_some_and(|went| went.yaw.abs() <= STRAIGHT && went.y.abs() <= STRAIGHT * APART);
         if is_straight && went.is_some_and(|went| went.x.abs() < APART) {
             return;
@@ -92,19 +92,19 @@ impl MountWatch {
             (range >= lidar.range_min && range <= lidar.range_max && !moves)
                 .then(|| Point2::new(range * cos, range * sin))
         };
-        let look = Look {
+        let scan = PosedScan {
             odom_from_base,
             points: ranges.iter().enumerate().map(point).collect(),
         };
         let angle = watched.earlier.as_ref().filter(|_| is_straight);
-        if let Some(angle) = angle.and_then(|earlier| angle_between(lidar, earlier, &look)) {
+        if let Some(angle) = angle.and_then(|earlier| angle_between(lidar, earlier, &scan)) {
             if watched.angles.len() == MOST {
                 watched.angles.pop_front();
             }
             watched.angles.push_back(angle);
             watched.is_off = watched.off().is_some();
         }
-        watched.earlier = Some(look);
+        watched.earlier = Some(scan);
     }
 
     /// A lidar that looks elsewhere than its file says: its name, and how far to the left, rad.
@@ -136,7 +136,7 @@ fn median(numbers: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// The lidar's yaw beyond its file's, rad, by two scans a straight way apart; `None` if too little is seen beside the way.
-fn angle_between(lidar: &LidarModel, earlier: &Look, later: &Look) -> Option<f64> {
+fn angle_between(lidar: &LidarModel, earlier: &PosedScan, later: &PosedScan) -> Option<f64> {
     let before = earlier.odom_from_base * lidar.mount;
     let earlier_from_later = before.inverse() * (later.odom_from_base * lidar.mount);
     let base = (before.inverse() * later.odom_from_base).position();

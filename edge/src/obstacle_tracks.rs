@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 use nalgebra::{Point2, Rotation2, Vector2};
 use zenav_protocol::time::Stamp;
 
-use crate::course::{Course, Way};
+use crate::course::{Course, PredictedPath};
 use crate::field_of_view::ProjectedScan;
 use crate::settings::TrackingSettings;
 use crate::slow_movers::{Round, SlowMover, SlowMovers};
@@ -200,15 +200,15 @@ impl Track {
         }
     }
 
-    /// The way that it goes from `secs` after its stamp for another `lead` s, odometry frame.
+    /// The path that it takes from `secs` after its stamp for another `lead` s, odometry frame.
     #[must_use]
-    pub fn way(&self, secs: f64, lead: f64) -> Way {
+    pub fn path(&self, secs: f64, lead: f64) -> PredictedPath {
         let (first, last) = (self.at(secs), self.at(secs + lead));
         if self.course.is_none() {
-            return Way::straight(first, last);
+            return PredictedPath::straight(first, last);
         }
         let third = lead / 3.0;
-        Way::bent([first, self.at(secs + third), self.at(secs + 2.0 * third), last])
+        PredictedPath::bent([first, self.at(secs + third), self.at(secs + 2.0 * third), last])
     }
 
     /// The same with the velocity that it was seen to have.

@@ -25,6 +25,7 @@ use zenav_protocol::settings::Settings as _;
 use zenav_protocol::topics::{self, EdgeReply, EdgeRequest, Topic};
 
 use crate::body::Body;
+use crate::body_clock::BodyClock;
 use crate::config::EdgeConfig;
 use crate::control;
 use crate::control_io::{Inbox, Persisted, Publication};
@@ -165,6 +166,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
 
     let halt = Arc::new(AtomicBool::new(false));
     let pace = (config.edge.tick, config.speed);
+    let body = (body, BodyClock::new(config.edge.settings.body.longest_step));
     let pilot = Pilot::new(config.edge, new_boot_id(), stored);
     let ended = spawn_control(body, pilot, Arc::clone(&handoff), pace, Arc::clone(&halt), &robot)?;
     bus.started();
@@ -189,7 +191,7 @@ async fn supervise(mut ended: oneshot::Receiver<()>, halt: &AtomicBool, shutdown
 }
 
 fn spawn_control(
-    body: Box<dyn Body>,
+    body: (Box<dyn Body>, BodyClock),
     pilot: Pilot,
     handoff: Arc<Handoff>,
     pace: (f64, f64),
@@ -280,8 +282,8 @@ async fn serve(bus: Bus, mut server: PartServer<EdgeRequest>, handoff: Arc<Hando
 
 /// One publisher per topic.
 struct Publishers {
-    /// By name of the lidar.
-    scans: BTreeMap<String, Publisher<Scan>>,
+    /// By name of the further lidar, without one for the main lidar.
+    scans: BTreeMap<Option<String>, Publisher<Scan>>,
     odometry: Publisher<Odometry>,
     imu: Publisher<Imu>,
     kinds: KindPublishers,
@@ -329,13 +331,12 @@ impl Publishers {
         gives_the_time: bool,
         trace: Arc<EdgeTrace>,
     ) -> Result<Self, BusError> {
-        let lidars = model.all_lidars().enumerate();
-        let scans = lidars.map(|(index, (lidar, _))| {
-            let publisher = match index {
-                0 => bus.publisher(&topics::SCAN, &[robot])?,
-                _ => bus.publisher(&topics::LIDAR_SCAN, &[robot, lidar])?,
-            };
-            Ok((lidar.to_owned(), publisher))
+        let scans = model.all_lidars().map(|(lidar, _)| {
+            if model.is_main_lidar(lidar) {
+                return Ok((None, bus.publisher(&topics::SCAN, &[robot])?));
+            }
+            let publisher = bus.publisher(&topics::LIDAR_SCAN, &[robot, lidar])?;
+            Ok((Some(lidar.to_owned()), publisher))
         });
         let robot = &[robot];
         Ok(Self {

@@ -90,8 +90,8 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// The body's readings.
     pub struct BodySettings {
-        /// Longest step between the stamps of a body on the bus that is accepted at once; a longer one must be confirmed by several
-        /// readings in a row.
+        /// Longest step between the stamps of a body that is accepted at once; a longer one must be confirmed by several readings in a
+        /// row.
         pub longest_step: f64 = 1.0, "s", 0.05..=60.0;
     }
 }

@@ -13,7 +13,7 @@ use zenav_protocol::time::Stamp;
 use crate::settings::UplinkSettings;
 
 /// Window over which the least round trip is taken, s: a delay of single heartbeats (a plan under way, a link that stalled) is not a queue.
-const LOOK: f64 = 1.0;
+const WINDOW: f64 = 1.0;
 /// A least round trip that has grown counts as a change of the link after one to two of these, s.
 const MEMORY: f64 = 60.0;
 /// Share of the capacity used after a window that found a queue: the rest drains it.
@@ -39,7 +39,7 @@ pub struct Uplink {
     share: f64,
     /// Start of the present period, and the least round trip in it and in the period before, s.
     base: Option<(Stamp, f64, f64)>,
-    look: Option<Look>,
+    window: Option<RoundTripWindow>,
     /// Earliest start of the next window.
     not_before: Stamp,
     /// The lease holder of the measurements: another one is reached over another path.
@@ -64,7 +64,7 @@ struct Full {
 
 /// The round trips of the last second.
 #[derive(Clone, Copy, Debug)]
-struct Look {
+struct RoundTripWindow {
     begun: Stamp,
     first: f64,
     least: f64,
@@ -78,7 +78,7 @@ impl Uplink {
             settings: settings.clone(),
             share: 1.0,
             base: None,
-            look: None,
+            window: None,
             not_before: Stamp::ZERO,
             holder: String::new(),
             full: None,
@@ -98,7 +98,7 @@ impl Uplink {
         let silence = if self.full.is_some() { DRAINED } else { UNMEASURED };
         if self.share < 1.0 && now.secs_since(self.last) >= silence && now >= self.grows_at {
             self.share = (INCREASE * self.share).min(1.0);
-            self.grows_at = now.plus_secs(LOOK);
+            self.grows_at = now.plus_secs(WINDOW);
         }
     }
 
@@ -108,7 +108,7 @@ impl Uplink {
         self.last = now;
         if holder != self.holder {
             self.holder = holder.to_owned();
-            (self.base, self.look, self.full) = (None, None, None);
+            (self.base, self.window, self.full) = (None, None, None);
         }
         let (since, least, before) = match self.base {
             Some((since, least, _)) if now.secs_since(since) > MEMORY => (now, round_trip, least),
@@ -119,24 +119,24 @@ impl Uplink {
         if now < self.not_before {
             return;
         }
-        let look = self.look.get_or_insert(Look {
+        let window = self.window.get_or_insert(RoundTripWindow {
             begun: now,
             first: round_trip,
             least: round_trip,
         });
-        look.least = look.least.min(round_trip);
-        let secs = now.secs_since(look.begun);
-        if secs < LOOK {
+        window.least = window.least.min(round_trip);
+        let secs = now.secs_since(window.begun);
+        if secs < WINDOW {
             return;
         }
-        let look = *look;
-        self.look = None;
+        let window = *window;
+        self.window = None;
         // A link of that length carries no lease, whatever is sent: only a queue can become shorter.
-        let is_hopeless = look.least >= LONGEST_ROUND_TRIP.as_secs_f64();
+        let is_hopeless = window.least >= LONGEST_ROUND_TRIP.as_secs_f64();
         let queued = if is_hopeless {
             f64::INFINITY
         } else {
-            look.least - least.min(before)
+            window.least - least.min(before)
         };
         if queued <= self.settings.longest_queue {
             self.full = None;
@@ -157,11 +157,11 @@ impl Uplink {
         };
         if full.same > SAME.0 {
             self.share = full.share;
-            self.base = Some((now, look.least, f64::INFINITY));
+            self.base = Some((now, window.least, f64::INFINITY));
             self.full = None;
             return;
         }
-        let growth = ((round_trip - look.first) / secs).clamp(0.0, STEEPEST);
+        let growth = ((round_trip - window.first) / secs).clamp(0.0, STEEPEST);
         // Data sent before still has to pass.
         self.not_before = now.plus_secs(round_trip);
         let kept = if is_hopeless { 0.0 } else { DECREASE * (1.0 - growth) };
@@ -263,7 +263,7 @@ mod tests {
     fn a_long_queue_that_drains_is_no_longer_link() {
         let mut uplink = uplink();
         let mut now = 0.0;
-        let mut look = |uplink: &mut Uplink, round_trip: f64| {
+        let mut window = |uplink: &mut Uplink, round_trip: f64| {
             for _ in 0..12 {
                 now += 0.1;
                 uplink.measured(Stamp::from_secs(now), Duration::from_secs_f64(round_trip), "mission");
@@ -272,11 +272,11 @@ mod tests {
             now += round_trip;
             uplink.share()
         };
-        assert_eq!(look(&mut uplink, 0.05), 1.0);
+        assert_eq!(window(&mut uplink, 0.05), 1.0);
         // The first of these windows began before.
-        look(&mut uplink, 10.0);
+        window(&mut uplink, 10.0);
         for round_trip in [10.0, 9.0, 7.0, 5.0, 4.0, 3.0] {
-            assert_eq!(look(&mut uplink, round_trip), LEAST, "{round_trip}");
+            assert_eq!(window(&mut uplink, round_trip), LEAST, "{round_trip}");
         }
     }
 

@@ -29,7 +29,7 @@ pub struct Facts {
     pub started_unix_secs: Option<f64>,
     /// Open file descriptors.
     pub open_files: Option<u64>,
-    /// Threads.
+    /// Threads of this process.
     pub threads: Option<u64>,
 }
 

@@ -11,7 +11,7 @@ use crate::metrics::PART_READY;
 const STARTED: &str = "it has started";
 
 /// Every part of this process.
-static PARTS: LazyLock<Mutex<Vec<Weak<Part>>>> = LazyLock::new(Mutex::default);
+static PARTS: LazyLock<Mutex<Vec<Weak<PartConditions>>>> = LazyLock::new(Mutex::default);
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -19,10 +19,10 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// A part of this process, and the conditions that it waits for. Clones share the part; it is removed when the last clone is dropped.
 #[derive(Clone, Debug)]
-pub struct Readiness(Arc<Part>);
+pub struct Readiness(Arc<PartConditions>);
 
 #[derive(Debug)]
-struct Part {
+struct PartConditions {
     name: String,
     state: Mutex<State>,
 }
@@ -43,7 +43,7 @@ impl State {
 /// A condition that a part waits for.
 #[derive(Clone, Debug)]
 pub struct Condition {
-    part: Arc<Part>,
+    part: Arc<PartConditions>,
     index: usize,
     /// Its loss is logged by the code that watches it.
     silent: bool,
@@ -64,7 +64,7 @@ impl Readiness {
     /// A session that is no part of this process, such as a command's client. It is not in the report and not in the metrics.
     #[must_use]
     pub fn unlisted(name: &str) -> Self {
-        let part = Arc::new(Part {
+        let part = Arc::new(PartConditions {
             name: name.to_owned(),
             state: Mutex::new(State {
                 conditions: vec![(STARTED.to_owned(), false)],
@@ -162,7 +162,7 @@ impl Condition {
 /// Whether all conditions of this process are met, and a line for each, unmet ones first. A process without parts is not ready.
 #[must_use]
 pub fn report() -> (bool, String) {
-    let parts: Vec<Arc<Part>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
+    let parts: Vec<Arc<PartConditions>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
     let mut lines = Vec::new();
     for part in &parts {
         for (what, met) in &lock(&part.state).conditions {
@@ -179,7 +179,7 @@ pub fn report() -> (bool, String) {
 /// Updates the readiness gauges.
 pub(crate) fn observe() {
     PART_READY.reset();
-    let parts: Vec<Arc<Part>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
+    let parts: Vec<Arc<PartConditions>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
     for part in parts {
         let ready = lock(&part.state).is_ready();
         PART_READY

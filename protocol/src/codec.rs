@@ -113,6 +113,13 @@ impl CodecError {
         }
         Self::Malformed { reason }
     }
+
+    fn unencodable(encoding: Encoding, error: &dyn fmt::Display) -> Self {
+        Self::Unencodable {
+            encoding,
+            reason: error.to_string(),
+        }
+    }
 }
 
 /// Encodes a message. In JSON, a number that is not finite becomes `null`.
@@ -120,15 +127,24 @@ impl CodecError {
 /// # Errors
 /// [`CodecError::Unencodable`] for a type that the encoding cannot represent: a bug in the program, not in the data.
 pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<Vec<u8>, CodecError> {
-    let mut bytes = Vec::with_capacity(256);
-    let written = match encoding {
-        Encoding::Json => serde_json::to_writer(&mut bytes, message).map_err(|error| error.to_string()),
-        Encoding::Cbor => ciborium::into_writer(message, &mut bytes).map_err(|error| error.to_string()),
-    };
-    match written {
-        Ok(()) => Ok(bytes),
-        Err(reason) => Err(CodecError::Unencodable { encoding, reason }),
+    match encoding {
+        Encoding::Json => encode_json(message),
+        Encoding::Cbor => encode_cbor(message),
     }
+}
+
+/// As [`encode`] in JSON. For a message that is never written in CBOR: no CBOR encoder of it is compiled.
+pub(crate) fn encode_json<T: Serialize + ?Sized>(message: &T) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = Vec::with_capacity(256);
+    serde_json::to_writer(&mut bytes, message).map_err(|error| CodecError::unencodable(Encoding::Json, &error))?;
+    Ok(bytes)
+}
+
+/// As [`encode`] in CBOR. For a message that is never written in JSON: no JSON encoder of it is compiled.
+pub(crate) fn encode_cbor<T: Serialize + ?Sized>(message: &T) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = Vec::with_capacity(256);
+    ciborium::into_writer(message, &mut bytes).map_err(|error| CodecError::unencodable(Encoding::Cbor, &error))?;
+    Ok(bytes)
 }
 
 /// Encodes a message of at most `max_bytes`, which is all that a receiver decodes.
@@ -140,7 +156,11 @@ pub fn encode_within<T: Serialize + ?Sized>(
     encoding: Encoding,
     max_bytes: usize,
 ) -> Result<Vec<u8>, CodecError> {
-    let bytes = encode(message, encoding)?;
+    within(encode(message, encoding)?, max_bytes)
+}
+
+/// An encoded message, if a receiver decodes that many bytes.
+pub(crate) fn within(bytes: Vec<u8>, max_bytes: usize) -> Result<Vec<u8>, CodecError> {
     check_size(&bytes, max_bytes)?;
     Ok(bytes)
 }

@@ -43,7 +43,7 @@ pub enum TextError {
     /// The TOML does not fit: an unknown, missing or mistyped key.
     #[error("{file}:{line}: {source}")]
     Toml {
-        /// The file.
+        /// Name of the file.
         file: String,
         /// Counted from 1.
         line: usize,
@@ -53,11 +53,11 @@ pub enum TextError {
     /// A value that may not be.
     #[error("{file}:{line}: `{key}`: {problem}")]
     Value {
-        /// The file.
+        /// Name of the file.
         file: String,
         /// Counted from 1.
         line: usize,
-        /// The key.
+        /// Key of the value.
         key: &'static str,
         /// What is wrong with it.
         problem: String,
@@ -78,7 +78,7 @@ pub enum TextError {
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Source<'a> {
-    /// The text.
+    /// Text of the file, unchanged: positions count its bytes.
     pub text: &'a str,
     /// The file's name, for errors.
     pub file: &'a str,

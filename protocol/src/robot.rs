@@ -33,7 +33,7 @@ macro_rules! robot_model {
             /// The lidar named [`DEFAULT_LIDAR`].
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub lidar: Option<LidarModel>,
-            /// Further lidars by name. [`Self::all_lidars`] lists them all.
+            /// Lidars by name: further ones, or all of them. [`Self::all_lidars`] lists them with [`Self::lidar`].
             #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
             pub lidars: BTreeMap<String, LidarModel>,
             /// Wheel encoders.
@@ -182,7 +182,8 @@ impl Footprint {
         }
     }
 
-    /// Distance from the outline to a point in the base frame, m; zero inside.
+    /// Distance from the outline to a point in the base frame, m; zero inside. Edge by edge instead of by parry's GJK:
+    /// `cargo bench -p zenav-edge --bench collision_monitor` compares the two.
     #[must_use]
     pub fn distance(&self, point: Point2<f64>) -> f64 {
         match self {
@@ -342,22 +343,33 @@ impl RobotModel {
         Ok(self)
     }
 
-    /// All lidars with their names: [`Self::lidar`] first, then the others by name. Scans of the first are published on the robot's plain
-    /// scan key.
+    /// All lidars with their names: the one named [`DEFAULT_LIDAR`] first, then the others by name. The first is the main lidar
+    /// ([`Self::is_main_lidar`]).
     pub fn all_lidars(&self) -> impl Iterator<Item = (&str, &LidarModel)> {
-        let first = self.lidar.as_ref().map(|lidar| (DEFAULT_LIDAR, lidar));
-        first
-            .into_iter()
-            .chain(self.lidars.iter().map(|(name, lidar)| (name.as_str(), lidar)))
+        let lidars = &self.lidars;
+        let named = move |is_default: bool| {
+            lidars
+                .iter()
+                .map(|(name, lidar)| (name.as_str(), lidar))
+                .filter(move |(name, _)| (*name == DEFAULT_LIDAR) == is_default)
+        };
+        let unnamed = self.lidar.as_ref().map(|lidar| (DEFAULT_LIDAR, lidar));
+        unnamed.into_iter().chain(named(true)).chain(named(false))
     }
 
     /// As [`Self::all_lidars`], mutable.
     pub fn all_lidars_mut(&mut self) -> impl Iterator<Item = (&str, &mut LidarModel)> {
-        let first = self.lidar.as_mut().map(|lidar| (DEFAULT_LIDAR, lidar));
-        let others = self.lidars.iter_mut();
-        first
-            .into_iter()
-            .chain(others.map(|(name, lidar)| (name.as_str(), lidar)))
+        let named = self.lidars.iter_mut().map(|(name, lidar)| (name.as_str(), lidar));
+        let (default, others): (Vec<_>, Vec<_>) = named.partition(|(name, _)| *name == DEFAULT_LIDAR);
+        let unnamed = self.lidar.as_mut().map(|lidar| (DEFAULT_LIDAR, lidar));
+        unnamed.into_iter().chain(default).chain(others)
+    }
+
+    /// Whether the lidar of this name is the main one: the first of [`Self::all_lidars`], whatever its name. Its scans are published on the
+    /// plain scan key, and SLAM and localisation get the robot's pose from them alone; scans of further lidars are drawn at that pose.
+    #[must_use]
+    pub fn is_main_lidar(&self, name: &str) -> bool {
+        self.all_lidars().next().is_some_and(|(main, _)| main == name)
     }
 
     /// The first lidar; every robot read from a file has one.
@@ -499,6 +511,27 @@ mod tests {
             (names(&front), front.first_lidar()),
             (vec!["front".to_owned()], front.lidars.get("front"))
         );
+    }
+
+    #[test]
+    fn the_main_lidar_is_the_one_named_lidar_and_without_it_the_first_by_name() {
+        let tiago = shipped("tiago").unwrap();
+        let rear = OPTIONS.iter().find(|(name, _)| *name == "rear_lidar").unwrap().1;
+        for (first, second, expected) in [
+            ("[lidar]", "[lidars.front]", "lidar"),
+            ("[lidars.lidar]", "[lidars.front]", "lidar"),
+            ("[lidars.front]", "[lidars.rear]", "front"),
+            ("[lidars.rear]", "[lidars.front]", "front"),
+        ] {
+            let text = tiago.replace("[lidar]", first) + &rear.replace("[lidars.rear]", second);
+            let mut model = RobotModel::from_toml(&text, "two").unwrap();
+            let names: Vec<String> = model.all_lidars().map(|(name, _)| name.to_owned()).collect();
+            let main: Vec<&String> = names.iter().filter(|name| model.is_main_lidar(name)).collect();
+            assert_eq!((names.len(), main), (2, vec![&names[0]]));
+            assert_eq!(names[0], expected, "{first} and {second}");
+            let order: Vec<String> = model.all_lidars_mut().map(|(name, _)| name.to_owned()).collect();
+            assert_eq!(order, names);
+        }
     }
 
     #[test]

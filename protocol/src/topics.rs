@@ -12,6 +12,8 @@ use std::marker::PhantomData;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+#[cfg(feature = "bus")]
+use crate::codec::CodecError;
 use crate::codec::Encoding;
 use crate::messages::{
     AnnotateRequest, Annotations, AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump,
@@ -92,6 +94,10 @@ pub struct Topic<T> {
     pub max_bytes: usize,
     /// Encoding used by the writer; a receiver accepts JSON everywhere.
     pub encoding: Encoding,
+    #[cfg(feature = "bus")]
+    pub(crate) encode: Encode<T>,
+    #[cfg(feature = "bus")]
+    pub(crate) decode: Decode<T>,
     message: PhantomData<fn() -> T>,
 }
 
@@ -104,7 +110,49 @@ pub struct Ask<Q, R> {
     pub max_bytes: usize,
     /// Encoding of the reply to typed requesters (selector parameter `format=cbor`); all others get JSON.
     pub reply_encoding: Encoding,
+    #[cfg(feature = "bus")]
+    pub(crate) encode_request: Encode<Q>,
+    #[cfg(feature = "bus")]
+    pub(crate) decode_request: Decode<Q>,
+    #[cfg(feature = "bus")]
+    pub(crate) encode_reply: EncodeAs<R>,
+    #[cfg(feature = "bus")]
+    pub(crate) decode_reply: Decode<R>,
     message: PhantomData<fn() -> (Q, R)>,
+}
+
+// The bus encodes and decodes through the functions that the table's macros write for each message. They are not generic, so encoders and
+// decoders are compiled once, with this crate, and not again in every crate that uses the message.
+
+/// Encodes a message in its writer's encoding.
+#[cfg(feature = "bus")]
+pub(crate) type Encode<T> = fn(&T) -> Result<Vec<u8>, CodecError>;
+
+/// Encodes a message in either encoding.
+#[cfg(feature = "bus")]
+pub(crate) type EncodeAs<T> = fn(&T, Encoding) -> Result<Vec<u8>, CodecError>;
+
+/// Decodes a message of at most this many bytes.
+#[cfg(feature = "bus")]
+pub(crate) type Decode<T> = fn(&[u8], Encoding, usize) -> Result<T, CodecError>;
+
+/// A topic without the type of its message.
+#[cfg(feature = "bus")]
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Untyped {
+    pub(crate) pattern: &'static str,
+    pub(crate) qos: Qos,
+    pub(crate) rate: Option<u16>,
+    pub(crate) max_bytes: usize,
+    pub(crate) encoding: Encoding,
+}
+
+#[cfg(feature = "bus")]
+impl Untyped {
+    /// As [`Topic::key`].
+    pub(crate) fn key(&self, chunks: &[&str]) -> String {
+        fill(self.pattern, chunks)
+    }
 }
 
 // Not derived: a derive would require `T: Copy` of the message.
@@ -153,6 +201,17 @@ impl<T> Topic<T> {
     #[must_use]
     pub fn without_rate(self) -> Self {
         Self { rate: None, ..self }
+    }
+
+    #[cfg(feature = "bus")]
+    pub(crate) fn untyped(&self) -> Untyped {
+        Untyped {
+            pattern: self.pattern,
+            qos: self.qos,
+            rate: self.rate,
+            max_bytes: self.max_bytes,
+            encoding: self.encoding,
+        }
     }
 }
 
@@ -293,6 +352,52 @@ macro_rules! encoding {
     };
 }
 
+/// Encodes a message of the table in the encoding of its writer.
+#[cfg(feature = "bus")]
+macro_rules! encoder {
+    ($message:ty) => {
+        encoder!($message, Json)
+    };
+    ($message:ty, Json) => {{
+        #[inline(never)]
+        fn encode(message: &$message) -> Result<Vec<u8>, CodecError> {
+            crate::codec::encode_json(message)
+        }
+        encode
+    }};
+    ($message:ty, Cbor) => {{
+        #[inline(never)]
+        fn encode(message: &$message) -> Result<Vec<u8>, CodecError> {
+            crate::codec::encode_cbor(message)
+        }
+        encode
+    }};
+}
+
+/// Encodes a message of the table in either encoding.
+#[cfg(feature = "bus")]
+macro_rules! encoder_as {
+    ($message:ty) => {{
+        #[inline(never)]
+        fn encode_as(message: &$message, encoding: Encoding) -> Result<Vec<u8>, CodecError> {
+            crate::codec::encode(message, encoding)
+        }
+        encode_as
+    }};
+}
+
+/// Decodes a message of the table.
+#[cfg(feature = "bus")]
+macro_rules! decoder {
+    ($message:ty) => {{
+        #[inline(never)]
+        fn decode(bytes: &[u8], encoding: Encoding, max_bytes: usize) -> Result<$message, CodecError> {
+            crate::codec::decode(bytes, encoding, max_bytes)
+        }
+        decode
+    }};
+}
+
 macro_rules! key_table {
     // The topics of the sensor table go between the topics listed here.
     ([{ $($before:tt)* } sensors { $($after:tt)* } $($rest:tt)*]
@@ -311,7 +416,18 @@ macro_rules! key_table {
      asks { $($ask:ident: $request:ty => $reply:ty = $ask_pattern:literal, $ask_server:ident, $asker:ident, $ask_max:expr $(, $reply_encoding:ident)?;)* }) => {
         $(
             #[doc = concat!("`", $pattern, "`: ", stringify!($message), ", written by ", stringify!($producer), ".")]
-            pub const $topic: Topic<$message> = Topic { pattern: $pattern, qos: $qos, rate: $rate, max_bytes: $max, encoding: encoding!($($encoding)?), message: PhantomData };
+            pub const $topic: Topic<$message> = Topic {
+                pattern: $pattern,
+                qos: $qos,
+                rate: $rate,
+                max_bytes: $max,
+                encoding: encoding!($($encoding)?),
+                #[cfg(feature = "bus")]
+                encode: encoder!($message $(, $encoding)?),
+                #[cfg(feature = "bus")]
+                decode: decoder!($message),
+                message: PhantomData,
+            };
         )*
         $(
             $(ask!($part_ask: $part_request => $part_reply = $part_pattern, $server, $part_max $(, $part_encoding)?);)*
@@ -369,7 +485,23 @@ macro_rules! key_table {
 macro_rules! ask {
     ($ask:ident: $request:ty => $reply:ty = $pattern:literal, $server:ident, $max:expr $(, $encoding:ident)?) => {
         #[doc = concat!("`", $pattern, "`: ", stringify!($request), " answered with ", stringify!($reply), " by ", stringify!($server), ".")]
-        pub const $ask: Ask<$request, $reply> = Ask { pattern: $pattern, max_bytes: $max, reply_encoding: encoding!($($encoding)?), message: PhantomData };
+        pub const $ask: Ask<$request, $reply> = ask!($request => $reply = $pattern, $max $(, $encoding)?);
+    };
+    ($request:ty => $reply:ty = $pattern:literal, $max:expr $(, $encoding:ident)?) => {
+        Ask {
+            pattern: $pattern,
+            max_bytes: $max,
+            reply_encoding: encoding!($($encoding)?),
+            #[cfg(feature = "bus")]
+            encode_request: encoder!($request),
+            #[cfg(feature = "bus")]
+            decode_request: decoder!($request),
+            #[cfg(feature = "bus")]
+            encode_reply: encoder_as!($reply),
+            #[cfg(feature = "bus")]
+            decode_reply: decoder!($reply),
+            message: PhantomData,
+        }
     };
 }
 
@@ -458,12 +590,7 @@ pub fn row_of(key: &str) -> Option<&'static Row> {
 }
 
 /// The server of a tree's `RemoteAction` chooses its own key, which is the single chunk here; the key is not part of the table.
-pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {
-    pattern: "{server}",
-    max_bytes: 64 * KIB,
-    reply_encoding: Encoding::Json,
-    message: PhantomData,
-};
+pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = ask!(RemoteRequest => RemoteReply = "{server}", 64 * KIB);
 
 /// Liveliness of a robot's component (`edge`, `mapping`, `mission`; `mapping-standby` for copies of the mapping service): for discovery
 /// only, never for authority.

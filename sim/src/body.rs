@@ -33,7 +33,7 @@ impl Body {
         }
     }
 
-    /// The robot's model.
+    /// The model that the body was made from.
     #[must_use]
     pub fn model(&self) -> &RobotModel {
         &self.model

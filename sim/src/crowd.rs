@@ -67,7 +67,7 @@ impl Crowd {
         self.drift = 0.0;
     }
 
-    /// All solids.
+    /// The solids, in the order in which they were added.
     #[must_use]
     pub fn solids(&self) -> &[Solid] {
         &self.solids

@@ -14,7 +14,7 @@ pub struct FaultModel {
     pub robot: Option<Id>,
     /// `encoders`, `imu`, another kind of sensor as the robot file names it (`gps`), or a lidar by name.
     pub sensor: String,
-    /// Kind of fault.
+    /// What is wrong with the sensor.
     pub kind: FaultKind,
     /// Time window, s.
     pub window: Range<f64>,

@@ -22,7 +22,7 @@ pub enum Manners {
     Blind,
     /// Optimal reciprocal collision avoidance; the walker takes half of the effort.
     Orca,
-    /// Social force.
+    /// Social force model: others and walls repel the walker.
     SocialForce,
 }
 

@@ -18,7 +18,7 @@ pub struct Motors {
 }
 
 impl Motors {
-    /// At rest.
+    /// Motors at rest, without a command.
     #[must_use]
     pub fn at_rest() -> Self {
         Self {

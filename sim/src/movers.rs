@@ -21,7 +21,7 @@ use crate::shape::{Edge, Solid};
 pub struct MoverModel {
     /// Its form around its position; as a polygon it may be concave.
     pub shape: Footprint,
-    /// Its route.
+    /// Where it goes.
     pub route: Route,
     /// Speed, m/s.
     pub speed: f64,

@@ -16,9 +16,9 @@ use crate::clearance::Placed;
 /// A round solid, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Disc {
-    /// Its centre.
+    /// Centre, m.
     pub center: Point2<f64>,
-    /// Its radius.
+    /// Radius, m.
     pub radius: f64,
 }
 

@@ -21,7 +21,7 @@ use crate::world_file;
 /// A named goal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
-    /// Its name.
+    /// Name by which a goal refers to it.
     pub name: Id,
     /// Map x, m.
     pub x: f64,
@@ -169,7 +169,7 @@ impl World {
         }
     }
 
-    /// Its name.
+    /// Name of the world, as its file gives it.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name

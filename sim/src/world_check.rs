@@ -28,7 +28,7 @@ pub enum WorldError {
     /// No world of this name is shipped.
     #[error("no shipped world is named `{name}`: there are {known}")]
     Unknown {
-        /// The name.
+        /// The name that was asked for.
         name: String,
         /// The names that are known.
         known: String,

@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use zenav::batch::sim_bench::{rays, run};
 use zenav_fixtures::{Row, robot, thread_time};
-use zenav_mapping::map_file::read_map;
+use zenav_mapping::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{Footprint, RobotModel};

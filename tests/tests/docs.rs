@@ -32,7 +32,13 @@ const PARTS: [&str; 6] = [
     "zenav sim serve",
 ];
 /// Commands that already run, or must have run before this test.
-const DONE: [&str; 4] = ["zenav up", "cargo test --workspace", "cargo build --release", ".ci/run"];
+const DONE: [&str; 5] = [
+    "zenav up",
+    "cargo test --workspace",
+    "cargo test -p zenav-model",
+    "cargo build --release",
+    ".ci/run",
+];
 /// Ports named in the pages: those of the deployment's router, robot, page and REST.
 const ROUTER_PORT: &str = "7447";
 const ROBOT_PORT: &str = "7450";

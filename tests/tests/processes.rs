@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
 use tokio::time::timeout;
-use zenav_mission::records::{Record, StoredGoal};
-use zenav_mission::store::Store;
+use zenav_mission::{MissionStore, Record, StoredGoal};
 use zenav_protocol::bus::{Bus, RawSample};
 use zenav_protocol::grid::{Cell, Occupancy};
 use zenav_protocol::messages::{
@@ -446,8 +445,8 @@ async fn whenever_an_orchestrator_is_killed_no_goal_is_lost_ends_twice_or_is_dri
 }
 
 /// An acknowledged goal of the store that has ended, or not.
-fn stored(store: &Path, acknowledged: &[String], has_ended: bool) -> Option<(Store, StoredGoal)> {
-    let store = Store::open(store, ROBOT).unwrap();
+fn stored(store: &Path, acknowledged: &[String], has_ended: bool) -> Option<(MissionStore, StoredGoal)> {
+    let store = MissionStore::open(store, ROBOT).unwrap();
     let goals = store.goals().unwrap().into_iter();
     let goal = goals
         .filter(|goal| acknowledged.contains(&goal.state.id))

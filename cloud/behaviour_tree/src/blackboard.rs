@@ -44,7 +44,7 @@ struct Scope {
 pub struct TypeError {
     /// Type of the entry.
     pub expected: ValueType,
-    /// The rejected value.
+    /// The value that was not written.
     pub value: Value,
 }
 

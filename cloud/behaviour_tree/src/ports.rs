@@ -14,7 +14,7 @@ pub enum Direction {
     Input,
     /// Written by the node.
     Output,
-    /// Both.
+    /// Read and written by the node.
     InOut,
 }
 
@@ -32,9 +32,9 @@ impl Direction {
 /// Type of a port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortType {
-    /// Anything.
+    /// A value of any type.
     Any,
-    /// Truth value.
+    /// `true` or `false`.
     Bool,
     /// Integer.
     Int,
@@ -44,7 +44,7 @@ pub enum PortType {
     Double,
     /// Number above 0.
     Positive,
-    /// Text.
+    /// Any text, as it is written.
     Text,
     /// `SUCCESS`, `FAILURE`, `SKIPPED`, `RUNNING`.
     Status,
@@ -52,7 +52,7 @@ pub enum PortType {
     Ints,
     /// Values of this type separated by `;`, a JSON list, or an entry with a list.
     List(ValueType),
-    /// A script.
+    /// A script of BehaviorTree.CPP, as in `x := 1; y == 2`.
     Script,
     /// The name of a blackboard entry, with or without braces.
     Key,
@@ -239,7 +239,7 @@ pub struct PortSpec {
     pub name: String,
     /// Direction of its value.
     pub direction: Direction,
-    /// Its type.
+    /// Type that a literal is parsed as, and that the entry behind the port must hold.
     #[serde(rename = "type", serialize_with = "type_name")]
     pub kind: PortType,
     /// Default if the tree file does not set the port. May be `{key}`.
@@ -294,11 +294,11 @@ pub enum PortError {
     /// The value has another type.
     #[error("port `{port}` holds `{value}`: expected {expected}")]
     Type {
-        /// The port.
+        /// Name of the port.
         port: String,
-        /// The value.
+        /// The value that it holds, as text.
         value: String,
-        /// The expected type.
+        /// Type that the node asked for.
         expected: String,
     },
     /// A literal cannot be written to.

@@ -101,17 +101,17 @@ impl NodeSpec {
         }
     }
 
-    /// An action.
+    /// The specification of an action, without ports.
     pub fn action(id: impl Into<String>, doc: impl Into<String>) -> NodeSpec {
         NodeSpec::new(Category::Action, id, doc)
     }
 
-    /// A condition.
+    /// The specification of a condition, without ports.
     pub fn condition(id: impl Into<String>, doc: impl Into<String>) -> NodeSpec {
         NodeSpec::new(Category::Condition, id, doc)
     }
 
-    /// A decorator.
+    /// The specification of a decorator, without ports.
     pub fn decorator(id: impl Into<String>, doc: impl Into<String>) -> NodeSpec {
         NodeSpec::new(Category::Decorator, id, doc)
     }

@@ -18,7 +18,7 @@ pub enum ValueType {
     Int,
     /// 64-bit float.
     Double,
-    /// Text.
+    /// UTF-8 text.
     Text,
     /// Structured data (poses, paths, lists).
     Data,
@@ -33,7 +33,7 @@ pub enum Value {
     Int(i64),
     /// 64-bit float.
     Double(f64),
-    /// Text.
+    /// UTF-8 text.
     Text(Arc<str>),
     /// Structured data (poses, paths, lists).
     Data(Arc<serde_json::Value>),
@@ -43,7 +43,7 @@ pub enum Value {
 const EXACT: i64 = 1 << 53;
 
 impl Value {
-    /// A text value.
+    /// Text as a value, copied into shared storage.
     pub fn text(text: impl AsRef<str>) -> Value {
         Value::Text(Arc::from(text.as_ref()))
     }

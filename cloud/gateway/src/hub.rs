@@ -92,7 +92,7 @@ impl Hub {
         self.watched.subscribe()
     }
 
-    /// Settings.
+    /// The settings that it was made with.
     #[must_use]
     pub fn settings(&self) -> &GatewaySettings {
         &self.settings

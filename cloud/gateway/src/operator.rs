@@ -41,19 +41,19 @@ pub enum AskFailure {
     /// The request could not be sent: the bus is closed, or too many requests are pending.
     #[error("{reason}")]
     Unavailable {
-        /// The reason.
+        /// What prevents it.
         reason: String,
     },
 }
 
-/// A future answer.
+/// The reply to a request, or why there is none.
 pub type Answer<T> = Pin<Box<dyn Future<Output = Result<T, AskFailure>> + Send>>;
 
 /// Carries out requests of people to robots.
 pub trait Operator: Send + Sync + 'static {
-    /// Submits a goal.
+    /// Submits a goal; it is stored before the reply.
     fn submit(&self, robot: &str, goal: GoalRequest) -> Answer<GoalReply>;
-    /// Cancels a goal.
+    /// Cancels a goal, waiting or active.
     fn cancel(&self, robot: &str, request: CancelRequest) -> Answer<GoalReply>;
     /// Pauses a goal, or resumes it.
     fn pause(&self, robot: &str, request: PauseRequest) -> Answer<GoalReply>;

@@ -107,11 +107,18 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
         ..Window::around(center, 0.5 * width, std::f64::consts::PI)
     };
     let look = |window: &Window| search_among(map.pyramid(), Some(map.places()), &thinned, window);
-    // A place that scores well is found quickly. If none does, or others may be about as good, all that may count are searched for.
-    let mut searched = look(&window);
-    let best = searched.found.first().map_or(0.0, |best| best.score);
-    if best - global.within < window.min_score && global.min_score < window.min_score {
-        let min_score = (best - global.within).max(global.min_score);
+    // A place that scores well is found quickly. If none does, all that score enough are searched for.
+    let (mut searched, mut bound) = (look(&window), window.min_score);
+    if searched.found.is_empty() && global.min_score < bound {
+        bound = global.min_score;
+        searched = look(&Window {
+            min_score: bound,
+            ..window
+        });
+    }
+    // Places about as good as the best one count even if they score less than it had to.
+    let rival = searched.found.first().map(|best| best.score - global.within);
+    if let Some(min_score) = rival.filter(|rival| *rival < bound) {
         searched = look(&Window { min_score, ..window });
     }
     // If the list of places is full, some were dropped.

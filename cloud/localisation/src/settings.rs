@@ -119,13 +119,13 @@ zenav_protocol::settings! {
     /// ```
     #[derive(Copy)]
     pub struct GlobalSettings {
-        /// Places that score less are ignored.
+        /// Least score of the best place.
         pub min_score: f64 = 0.45, "", 0.0..=1.0;
         /// Places that score at least this are searched for first: with a higher bound the search is much shorter.
         pub good_score: f64 = 0.8, "", 0.0..=1.0;
         /// The step of the headings moves points this far out by one cell.
         pub lever: f64 = 4.0, "m", 0.5..=1000.0;
-        /// Places that score this much less than the best one are ignored, too.
+        /// Places that score this much less than the best one are ignored.
         pub within: f64 = 0.1, "", 0.0..=1.0;
         /// Most places examined closely, best first.
         pub places: u32 = 100, "", 1..=1000;

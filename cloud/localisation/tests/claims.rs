@@ -4,7 +4,7 @@
 
 use nalgebra::Point2;
 use zenav_fixtures::{map_where, spec, walled_room};
-use zenav_localisation::{Found, KnownMap, LocalisationSettings, Localiser, evidence, find};
+use zenav_localisation::{Found, Hypothesis, KnownMap, LocalisationSettings, Localiser, evidence, find};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::Health;
@@ -70,6 +70,40 @@ fn in_two_rooms_that_look_alike_the_answer_is_that_it_is_ambiguous() {
     assert!(places.iter().any(|place| is_near(place.pose, truth)), "{places:?}");
     let other = Pose2::new(truth.x + 5.0, truth.y, truth.yaw);
     assert!(places.iter().any(|place| is_near(place.pose, other)), "{places:?}");
+}
+
+#[test]
+fn a_rival_that_scores_less_than_the_best_place_has_to_makes_it_ambiguous_too() {
+    let room = |at: Point2<f64>, x: f64| {
+        let (dx, dy) = ((at.x - x - 2.0).abs(), (at.y - 2.0).abs());
+        (dx < 2.0 && dy < 1.5) && (dx > 1.9 || dy > 1.4 || (at.x - x < 0.8 && at.y < 1.2))
+    };
+    // The right wall of the second room has a gap.
+    let gap = |at: Point2<f64>| at.x > 9.0 && (1.7..2.5).contains(&at.y);
+    let map = map_where(spec(220, 80, 0.05), |at| room(at, 0.5) || room(at, 5.5) && !gap(at));
+    let mut settings = LocalisationSettings::default();
+    let known = KnownMap::new(&map, settings.tracking.sigma);
+    let truth = Pose2::new(2.6, 2.2, 0.4);
+    let other = Pose2::new(truth.x + 5.0, truth.y, truth.yaw);
+    let scan = look(&map, 1, truth, Pose2::IDENTITY, Pose2::IDENTITY);
+    let seen = points(&scan, Pose2::IDENTITY, 0.1, &ScanSettings::default());
+    // With a falling bound of scores, first neither room is a place, then both are: no bound separates them.
+    let bounds = (0..20).map(|nth| 1.0 - 0.02 * f64::from(nth));
+    let answers: Vec<Found> = bounds
+        .map(|bound| {
+            (settings.global.min_score, settings.global.good_score) = (bound, bound);
+            find(&known, Point2::origin(), &seen, &settings)
+        })
+        .collect();
+    let is_there = |places: &[Hypothesis], pose: Pose2| places.iter().any(|place| place.pose.distance(&pose) < 0.3);
+    let nowhere = answers.iter().take_while(|found| **found == Found::Nowhere).count();
+    assert!((1..answers.len()).contains(&nowhere), "{answers:?}");
+    for found in answers.iter().skip(nowhere) {
+        let Found::Ambiguous(places) = found else {
+            panic!("{found:?}");
+        };
+        assert!(is_there(places, truth) && is_there(places, other), "{places:?}");
+    }
 }
 
 #[test]

@@ -22,7 +22,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_fixtures::thread_time;
 use zenav_mapping::carmen::{self, LOG_BEAMS};
-use zenav_mapping::{BeamSettings, InsertMode, build as maps};
+use zenav_mapping::{BeamSettings, InsertMode, agreement, build_map};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
@@ -163,9 +163,9 @@ fn inputs() -> Vec<Input> {
 
 fn insertion(criterion: &mut Criterion) {
     for input in inputs() {
-        let build = |mode| maps::build_map(&input.scans, RESOLUTION, mode, &input.beams).unwrap();
+        let build = |mode| build_map(&input.scans, RESOLUTION, mode, &input.beams).unwrap();
         let [reference, fast] = [InsertMode::Reference, InsertMode::Fast].map(|mode| build(mode).map.to_occupancy());
-        let agreement = maps::agreement(&reference, &fast);
+        let agreement = agreement(&reference, &fast);
         println!(
             "{}: {} scans; agreement {:.4} on occupied and {:.4} on free cells",
             input.name,

@@ -14,7 +14,7 @@ use crate::map_file::MapFileError;
 /// [`MapFileError::Io`].
 ///
 /// ```
-/// use zenav_mapping::atomic::write_atomically;
+/// use zenav_mapping::write_atomically;
 ///
 /// let folder = tempfile::tempdir().unwrap();
 /// let path = folder.path().join("map.json");

@@ -41,7 +41,7 @@ pub enum BuildError {
 
 /// A map built from scans.
 #[derive(Clone, Debug)]
-pub struct Built {
+pub struct BuiltMap {
     /// The map, with the log-odds of every cell.
     pub map: LogOddsGrid,
     /// Number of beams inserted.
@@ -54,9 +54,8 @@ pub struct Built {
 /// [`BuildError`] when the map would be too large: no beam is ever left out.
 ///
 /// ```
-/// use zenav_mapping::build::build_map;
 /// use zenav_mapping::carmen::{CarmenReader, LOG_BEAMS};
-/// use zenav_mapping::InsertMode;
+/// use zenav_mapping::{InsertMode, build_map};
 ///
 /// let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
 /// let scans: Vec<_> = CarmenReader::new(log.as_bytes()).collect::<Result<_, _>>().unwrap();
@@ -64,7 +63,12 @@ pub struct Built {
 /// assert_eq!(built.beams, 3);
 /// assert_eq!(built.map.counts().occupied, 3);
 /// ```
-pub fn build_map(scans: &[Scan], resolution: f64, mode: InsertMode, beams: &BeamSettings) -> Result<Built, BuildError> {
+pub fn build_map(
+    scans: &[Scan],
+    resolution: f64,
+    mode: InsertMode,
+    beams: &BeamSettings,
+) -> Result<BuiltMap, BuildError> {
     if !(resolution.is_finite() && resolution > 0.0) {
         return Err(BuildError::Resolution(resolution));
     }
@@ -76,7 +80,7 @@ pub fn build_map(scans: &[Scan], resolution: f64, mode: InsertMode, beams: &Beam
             _ => return Err(too_large(scans, resolution, beams)),
         }
     }
-    Ok(Built { map, beams: inserted })
+    Ok(BuiltMap { map, beams: inserted })
 }
 
 fn too_large(scans: &[Scan], resolution: f64, settings: &BeamSettings) -> BuildError {

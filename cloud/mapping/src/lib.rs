@@ -18,40 +18,53 @@
 //!
 //! # Where to begin
 //!
-//! [`Mapper`] is the complete mapper of a live robot: [`insert`](Mapper::insert) scans, [`take_patch`](Mapper::take_patch) for replicas on
-//! other machines, [`snapshot`](Mapper::snapshot) for files and pictures. [`LogOddsGrid`] is the grid alone, [`build::build_map`] builds a
-//! map from a recorded log, [`map_file`] reads and writes ROS `map_server` files.
+//! | question | entry point |
+//! |---|---|
+//! | How does a live robot's map come about? | [`Mapper`]: [`insert`](Mapper::insert) scans, [`take_patch`](Mapper::take_patch) for replicas on other machines, [`snapshot`](Mapper::snapshot) for files and pictures |
+//! | The grid alone? | [`LogOddsGrid`] |
+//! | A map from a recorded log, and how well do two maps agree? | [`build_map`], [`agreement`] |
+//! | What can be tuned? | [`MappingSettings`] |
+//! | How are ROS `map_server` files read and written? | [`read_map`], [`write_map`]; [`map_image`] has their halves, image and description |
+//! | Where is a map kept between two runs of its service? | [`store`] |
+//! | How are logs and benchmark maps in other formats read? | [`carmen`], [`parse_moving_ai_map`], [`parse_moving_ai_scenarios`] |
+//!
+//! # Files
 //!
 //! | file | subject |
 //! |---|---|
-//! | `settings` | all tunables: [`MappingSettings`] |
-//! | `beams` | the usable beams of a scan |
+//! | `settings` | all tunables |
+//! | `beams`, `no_return` | the usable beams of a scan, and the reading that means no return |
 //! | `sensor_model` | the inverse sensor model, in bytes of log-odds |
 //! | `log_odds` | the grid: tiles, the bitmap of one scan, temporal decay, snapshots |
 //! | `mapper` | a robot's scans in, patches out |
-//! | [`build`] | maps from recorded scans, and their agreement |
-//! | [`map_file`], [`map_yaml`], [`map_image`], [`image`], [`atomic`] | `map_server` files |
+//! | `build` | maps from recorded scans, and their agreement |
+//! | `map_file`, [`map_image`], `map_yaml`, `image`, `atomic` | `map_server` files |
 //! | [`store`] | a map on disk between two runs of its service |
-//! | [`carmen`], [`moving_ai`] | logs and benchmark maps in other formats |
+//! | [`carmen`], `moving_ai` | logs and benchmark maps in other formats |
 
-pub mod atomic;
+mod atomic;
 mod beams;
-pub mod build;
+mod build;
 pub mod carmen;
-pub mod image;
+mod image;
 mod log_odds;
-pub mod map_file;
+mod map_file;
 pub mod map_image;
-pub mod map_yaml;
+mod map_yaml;
 mod mapper;
-pub mod moving_ai;
+mod moving_ai;
 mod no_return;
 mod sensor_model;
 mod settings;
 pub mod store;
 
-pub use build::{Agreement, BuildError, Built, agreement, build_map};
+// Maps from scans.
+pub use build::{Agreement, BuildError, BuiltMap, agreement, build_map};
 pub use log_odds::{BeamCount, CellCounts, GridSnapshot, InsertMode, LogOddsGrid};
-pub use map_file::{MapFileError, read_map, write_map};
 pub use mapper::{Insertion, MapSnapshot, Mapper};
 pub use settings::{BeamSettings, MappingSettings, SensorModel};
+
+// Map files.
+pub use atomic::write_atomically;
+pub use map_file::{MapFileError, read_map, write_map};
+pub use moving_ai::{MovingAiError, MovingAiScenario, cell_from_top, parse_moving_ai_map, parse_moving_ai_scenarios};

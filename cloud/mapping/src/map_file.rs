@@ -14,7 +14,7 @@ use crate::atomic::Prepared;
 use crate::image::{self, GrayImage, ImageError};
 use crate::map_image::{shade, to_grid, to_yaml, unknown_made_free};
 use crate::map_yaml::{MapMode, MapYaml, MapYamlError};
-use crate::moving_ai::{self, MovingAiError};
+use crate::moving_ai::{MovingAiError, parse_moving_ai_map};
 
 /// Largest image file that is read, bytes: the largest map as text.
 const MAX_FILE: u64 = 4 * MAX_CELLS + (1 << 20);
@@ -148,7 +148,7 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
         }
         "map" => {
             let text = read_bytes(path, MAX_FILE)?;
-            moving_ai::parse_map(&text, resolution).map_err(|source| MapFileError::MovingAi {
+            parse_moving_ai_map(&text, resolution).map_err(|source| MapFileError::MovingAi {
                 path: path.to_owned(),
                 source,
             })

@@ -1,11 +1,13 @@
 //! Map images. Converts brightness to occupancy and back.
 //!
+//! A module of its own, because its functions are clear only with its name: `map_image::to_grid`, `map_image::to_png`.
+//!
 //! As in Nav2's `map_io`.
 
 use zenav_protocol::grid::{GridError, GridSpec, Occupancy, OccupancyGrid};
 
-use crate::image::{self, GrayImage, ImageError};
-use crate::map_yaml::{MapMode, MapYaml};
+pub use crate::image::{GrayImage, ImageError, decode, encode_pgm, encode_png};
+pub use crate::map_yaml::{MapMode, MapYaml, MapYamlError};
 
 /// Converts an image to a grid.
 ///
@@ -14,12 +16,11 @@ use crate::map_yaml::{MapMode, MapYaml};
 ///
 /// ```
 /// use nalgebra::Point2;
-/// use zenav_mapping::map_yaml::MapYaml;
-/// use zenav_mapping::{image, map_image};
+/// use zenav_mapping::map_image::{MapYaml, decode, to_grid};
 ///
 /// // Black above white: the first row of an image is the highest, the first row of a grid the lowest.
-/// let picture = image::decode(b"P2 1 2 255 0 255".to_vec()).unwrap();
-/// let map = map_image::to_grid(picture, &MapYaml::new("", 0.05, Point2::origin())).unwrap();
+/// let picture = decode(b"P2 1 2 255 0 255".to_vec()).unwrap();
+/// let map = to_grid(picture, &MapYaml::new("", 0.05, Point2::origin())).unwrap();
 /// assert_eq!(map.values(), [0, 100]);
 /// ```
 pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
@@ -101,8 +102,7 @@ fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
 ///
 /// ```
 /// use nalgebra::Point2;
-/// use zenav_mapping::map_image::to_image;
-/// use zenav_mapping::map_yaml::MapMode;
+/// use zenav_mapping::map_image::{MapMode, to_image};
 /// use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 ///
 /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 3, height: 1 };
@@ -169,7 +169,7 @@ pub fn to_yaml(grid: &OccupancyGrid, mode: MapMode, image: &str) -> MapYaml {
 /// The grid as a trinary binary graymap (PGM).
 #[must_use]
 pub fn to_pgm(grid: &OccupancyGrid) -> Vec<u8> {
-    image::encode_pgm(&to_image(grid, MapMode::Trinary))
+    encode_pgm(&to_image(grid, MapMode::Trinary))
 }
 
 /// The grid as a trinary PNG; a grid without cells becomes one unknown pixel.
@@ -179,12 +179,12 @@ pub fn to_pgm(grid: &OccupancyGrid) -> Vec<u8> {
 ///
 /// ```
 /// use nalgebra::Point2;
-/// use zenav_mapping::{image, map_image};
+/// use zenav_mapping::map_image::{decode, to_png};
 /// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 ///
 /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 3, height: 2 };
-/// let png = map_image::to_png(&OccupancyGrid::filled(spec, Occupancy::FREE)).unwrap();
-/// assert_eq!(image::decode(png).unwrap().gray, [254; 6]);
+/// let png = to_png(&OccupancyGrid::filled(spec, Occupancy::FREE)).unwrap();
+/// assert_eq!(decode(png).unwrap().gray, [254; 6]);
 /// ```
 pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
     let mut picture = to_image(grid, MapMode::Trinary);
@@ -197,7 +197,7 @@ pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
             comments: Vec::new(),
         };
     }
-    image::encode_png(&picture)
+    encode_png(&picture)
 }
 
 #[cfg(test)]
@@ -304,7 +304,7 @@ mod tests {
 
     #[test]
     fn the_top_row_of_a_picture_is_the_highest_row_of_the_map() {
-        let image = image::decode(b"P2 2 2 255  0 254  205 254".to_vec()).unwrap();
+        let image = decode(b"P2 2 2 255  0 254  205 254".to_vec()).unwrap();
         let map = to_grid(image, &MapYaml::new("", 0.1, Point2::origin())).unwrap();
         let class = |x, y| Occupancy::of(map[Cell::new(x, y)]);
         assert_eq!(

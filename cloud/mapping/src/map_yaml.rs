@@ -155,7 +155,7 @@ impl MapYaml {
     /// refused: grids are never rotated here.
     ///
     /// ```
-    /// use zenav_mapping::map_yaml::MapYaml;
+    /// use zenav_mapping::map_image::MapYaml;
     ///
     /// let yaml = MapYaml::parse("image: map.pgm\nresolution: 0.05\norigin: [-1, -2, 0]\n").unwrap();
     /// assert_eq!((yaml.resolution, yaml.origin.x), (0.05, -1.0));
@@ -266,7 +266,7 @@ impl MapYaml {
     ///
     /// ```
     /// use nalgebra::Point2;
-    /// use zenav_mapping::map_yaml::MapYaml;
+    /// use zenav_mapping::map_image::MapYaml;
     ///
     /// let yaml = MapYaml::new("kitchen.pgm", 0.05, Point2::new(-1.5, 2.0));
     /// let text = yaml.to_text(&["revision 7".to_owned()]);

@@ -28,7 +28,7 @@ pub enum MovingAiError {
 
 /// A query as in the file, with columns and rows counted from the top left.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Scenario {
+pub struct MovingAiScenario {
     /// Class of difficulty: the optimum divided by 4.
     pub bucket: u32,
     /// Name of the map.
@@ -45,7 +45,7 @@ pub struct Scenario {
 ///
 /// ```
 /// use nalgebra::Point2;
-/// use zenav_mapping::moving_ai::cell_from_top;
+/// use zenav_mapping::cell_from_top;
 /// use zenav_protocol::grid::{Cell, GridSpec};
 ///
 /// let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 4, height: 3 };
@@ -79,15 +79,15 @@ fn lines(text: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
 /// Reads a `.map`; cells get this side (m), and the origin is the lower-left corner.
 ///
 /// ```
-/// use zenav_mapping::moving_ai::parse_map;
+/// use zenav_mapping::parse_moving_ai_map;
 ///
-/// let map = parse_map(b"type octile\nheight 2\nwidth 3\nmap\n.@.\n...\n", 1.0).unwrap();
+/// let map = parse_moving_ai_map(b"type octile\nheight 2\nwidth 3\nmap\n.@.\n...\n", 1.0).unwrap();
 /// assert_eq!(map.values(), [0, 0, 0, 0, 100, 0]);
 /// ```
 ///
 /// # Errors
 /// [`MovingAiError`] with the line.
-pub fn parse_map(text: &[u8], resolution: f64) -> Result<OccupancyGrid, MovingAiError> {
+pub fn parse_moving_ai_map(text: &[u8], resolution: f64) -> Result<OccupancyGrid, MovingAiError> {
     let mut lines = lines(text);
     let (mut width, mut height) = (None, None);
     loop {
@@ -144,13 +144,13 @@ pub fn parse_map(text: &[u8], resolution: f64) -> Result<OccupancyGrid, MovingAi
 /// [`MovingAiError`] with the line.
 ///
 /// ```
-/// use zenav_mapping::moving_ai::parse_scenarios;
+/// use zenav_mapping::parse_moving_ai_scenarios;
 ///
-/// let scenarios = parse_scenarios(b"version 1\n0\troom.map\t3\t2\t0\t0\t2\t1\t2.41421356\n").unwrap();
+/// let scenarios = parse_moving_ai_scenarios(b"version 1\n0\troom.map\t3\t2\t0\t0\t2\t1\t2.41421356\n").unwrap();
 /// assert_eq!((&*scenarios[0].map, scenarios[0].goal), ("room.map", [2, 1]));
-/// assert!(parse_scenarios(b"0 room.map 3 2\n").unwrap_err().to_string().starts_with("line 1: expected bucket, map"));
+/// assert!(parse_moving_ai_scenarios(b"0 room.map 3 2\n").unwrap_err().to_string().starts_with("line 1: expected bucket, map"));
 /// ```
-pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
+pub fn parse_moving_ai_scenarios(text: &[u8]) -> Result<Vec<MovingAiScenario>, MovingAiError> {
     let mut scenarios = Vec::new();
     for (index, line) in lines(text) {
         let content = String::from_utf8_lossy(line);
@@ -170,7 +170,7 @@ pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
         let number = |word: &str| word.parse::<u32>().ok().filter(|value| *value <= MAX_SIDE);
         let read = || {
             let optimum = optimum.parse().ok().filter(|value: &f64| value.is_finite())?;
-            Some(Scenario {
+            Some(MovingAiScenario {
                 bucket: bucket.parse().ok()?,
                 map: (*map).to_owned(),
                 start: [number(sx)?, number(sy)?],
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn rows_count_from_the_top_and_the_first_is_the_highest() {
-        let map = parse_map(b"type octile\r\nheight 2\r\nwidth 3\r\nmap\r\n.@G\r\nTS.\r\n", 1.0).unwrap();
+        let map = parse_moving_ai_map(b"type octile\r\nheight 2\r\nwidth 3\r\nmap\r\n.@G\r\nTS.\r\n", 1.0).unwrap();
         let free: Vec<bool> = map.values().iter().map(|value| *value == Occupancy::FREE).collect();
         assert_eq!(free, [false, true, true, true, false, true]);
         assert_eq!(cell_from_top(map.spec(), [1, 0]), Some(Cell::new(1, 1)));
@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn a_mistake_is_named_with_its_line() {
-        let error = |text: &[u8]| parse_map(text, 1.0).unwrap_err().to_string();
+        let error = |text: &[u8]| parse_moving_ai_map(text, 1.0).unwrap_err().to_string();
         assert_eq!(
             error(b"type octile\nheight 2\nwidth 3\nmap\n...\n..\n"),
             "line 6: expected a row of 3 cells, found `..`"
@@ -211,7 +211,7 @@ mod tests {
         assert!(error(b"height 30000\nwidth 30000\nmap\n.").contains("30000 rows of 30000 cells"));
         assert!(error(b"height 4000000000\nwidth 1\nmap\n").contains("at most"));
         assert!(
-            parse_scenarios(b"version 1\n0\tm\t1\t1\t0\t0\t0\tx\t1.5\n")
+            parse_moving_ai_scenarios(b"version 1\n0\tm\t1\t1\t0\t0\t0\tx\t1.5\n")
                 .unwrap_err()
                 .to_string()
                 .starts_with("line 2")
@@ -220,10 +220,11 @@ mod tests {
 
     #[test]
     fn queries_are_read_as_they_stand() {
-        let scenarios = parse_scenarios(b"version 1\n7\tmaps/a b.map\t49\t49\t1\t11\t2\t12\t2.82842712\n").unwrap();
+        let scenarios =
+            parse_moving_ai_scenarios(b"version 1\n7\tmaps/a b.map\t49\t49\t1\t11\t2\t12\t2.82842712\n").unwrap();
         assert_eq!(
             scenarios,
-            vec![Scenario {
+            vec![MovingAiScenario {
                 bucket: 7,
                 map: "maps/a b.map".into(),
                 start: [1, 11],

@@ -1,5 +1,7 @@
 //! Map store. The part of a map that outlives its service.
 //!
+//! A module of its own, because its functions are clear only with its name: `store::save`, `store::load`, `store::list`.
+//!
 //! A map is stored as `map_server` files, with a record of its revision and the robot's trajectory beside them (`map.json`).
 
 use std::path::{Path, PathBuf};

@@ -13,7 +13,7 @@ use crate::settings::MissionSettings;
 /// One robot's mission.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MissionConfig {
-    /// The robot.
+    /// Name of the robot that it drives.
     pub robot: Id,
     /// The orchestrator's name, as holder of the robot's lease; must be unique.
     pub holder: String,

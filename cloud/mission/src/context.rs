@@ -12,7 +12,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;
-use super::frames::Frames;
+use super::frames::MapFrames;
 use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::lease::{LeaseClient, newer};
 use super::map::RobotMap;
@@ -99,19 +99,19 @@ impl Asks {
 /// The active goal, with the state that its leaves write.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ActiveGoal {
-    /// Its id.
+    /// Id of the goal, as clients know it.
     pub id: String,
     /// Distance at which the goal counts as reached, m.
     pub tolerance: f64,
     /// The driving profile of its motions.
     pub profile: DrivingProfile,
-    /// Its feedback.
+    /// Progress that is published with the goal.
     pub feedback: GoalFeedback,
-    /// Its drives.
+    /// The latest drives, oldest first.
     pub legs: Vec<Leg>,
     /// Number of changes of the drives.
     pub leg_changes: u64,
-    /// Last failure.
+    /// Why a leaf failed last; the goal ends with this reason.
     pub failure: Option<String>,
     /// Time at which it began.
     pub started: Stamp,
@@ -125,8 +125,8 @@ pub struct ActiveGoal {
     pub looked: Option<Stamp>,
     /// How long the obstacle that was out of sight has been in sight since.
     pub(crate) in_sight: Option<InSight>,
-    /// Approaches made.
-    pub tries: Tries,
+    /// Number of approaches made, and time from which the next may begin.
+    pub(crate) tries: Tries,
     /// The obstacle that covers the goal: its position, since when the robot has waited for it, and when it was last seen there.
     pub covered: Option<(Point2<f64>, Stamp, Stamp)>,
     /// Since when an obstacle has leaned on the robot, or when the robot last moved aside for it.
@@ -140,12 +140,12 @@ pub struct Context {
     pub config: Arc<MissionConfig>,
     /// The mission's time.
     pub now: Stamp,
-    /// The robot.
+    /// What the mission has heard of the robot.
     pub robot: RobotView,
-    /// Its map.
+    /// Replica of the map, with zones and configuration spaces.
     pub map: RobotMap,
     /// The frames of its map.
-    pub frames: Frames,
+    pub frames: MapFrames,
     /// The robot's lease.
     pub lease: LeaseClient,
     /// The plan in force.
@@ -243,7 +243,7 @@ impl Context {
             now: Stamp::ZERO,
             robot: RobotView::default(),
             map,
-            frames: Frames::default(),
+            frames: MapFrames::default(),
             places: (0, BTreeMap::new()),
             goal: ActiveGoal::default(),
             plans: Vec::new(),

@@ -13,7 +13,7 @@ use zenav_protocol::messages::{GoalPoint, MOST_MOVES, MapFrame, MapRef, may_foll
 
 /// Anchors of a goal's places in parts of the map, so that they keep their spot in the building.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Anchors {
+pub struct GoalAnchors {
     /// The map that the parts belong to.
     pub map: String,
     /// For each place, its part and its position in that part; without a part, its position in the map.
@@ -22,14 +22,14 @@ pub struct Anchors {
 
 /// The present frame, and the known earlier ones.
 #[derive(Clone, Debug, Default)]
-pub struct Frames {
+pub struct MapFrames {
     at: u64,
     is_settled: bool,
     newest: Option<MapFrame>,
     before: VecDeque<MapFrame>,
 }
 
-impl Frames {
+impl MapFrames {
     /// Observes a frame and its parts, as published by mapping.
     pub fn observe(&mut self, frame: MapFrame) {
         let known = self.newest.as_ref().filter(|known| known.map.id == frame.map.id);
@@ -90,14 +90,14 @@ impl Frames {
     /// Where a place of a frame is in the present one. A place that belongs to no part keeps its coordinates.
     ///
     /// ```
-    /// use zenav_mission::frames::Frames;
+    /// use zenav_mission::MapFrames;
     /// use zenav_protocol::geometry::Pose2;
     /// use zenav_protocol::messages::{GoalPoint, MapFrame, MapRef};
     ///
     /// let map = |frame| MapRef { id: "kitchen".into(), revision: 1, frame };
     /// let frame = |number, moves, part| MapFrame { map: map(number), moves, parts: vec![part], ..MapFrame::default() };
     /// let moved = Pose2::new(0.0, 1.0, 0.0);
-    /// let mut frames = Frames::default();
+    /// let mut frames = MapFrames::default();
     /// frames.observe(frame(0, Vec::new(), Pose2::IDENTITY));
     /// frames.settle(Some(&map(0)));
     /// // A loop closure moves the map by 1 m along y.
@@ -126,14 +126,14 @@ impl Frames {
 
     /// Anchors of places given in a frame; `None` if that frame is unknown.
     #[must_use]
-    pub fn anchors(&self, from: u64, places: &[GoalPoint]) -> Option<Anchors> {
+    pub fn anchors(&self, from: u64, places: &[GoalPoint]) -> Option<GoalAnchors> {
         let version = self.version(from)?;
         let anchor = |place: &GoalPoint| {
             let part = version.part_at(place.x, place.y);
             let pose = part.and_then(|part| version.parts.get(part));
             (part, pose.map_or(*place, |pose| place.moved(pose.inverse())))
         };
-        Some(Anchors {
+        Some(GoalAnchors {
             map: version.map.id.clone(),
             places: places.iter().map(anchor).collect(),
         })
@@ -141,7 +141,7 @@ impl Frames {
 
     /// Where anchored places are in the present frame; `None` for anchors in another map.
     #[must_use]
-    pub fn resolved(&self, anchors: &Anchors) -> Option<Vec<GoalPoint>> {
+    pub fn resolved(&self, anchors: &GoalAnchors) -> Option<Vec<GoalPoint>> {
         let version = self.version(self.at).filter(|version| version.map.id == anchors.map)?;
         let places = anchors.places.iter();
         places
@@ -160,7 +160,7 @@ impl Frames {
 
 /// Points moved as a rigid body.
 #[must_use]
-pub fn moved_points(points: &[Point2<f64>], new_from_old: Pose2) -> Vec<Point2<f64>> {
+pub(crate) fn moved_points(points: &[Point2<f64>], new_from_old: Pose2) -> Vec<Point2<f64>> {
     points
         .iter()
         .map(|point| new_from_old.transform_point(*point))
@@ -193,7 +193,7 @@ mod tests {
     fn a_place_moves_with_its_part_and_only_once_the_map_has() {
         let (near, far) = (Pose2::IDENTITY, Pose2::new(20.0, 0.0, 0.0));
         let moved = Pose2::new(0.0, 1.0, 0.0);
-        let mut frames = Frames::default();
+        let mut frames = MapFrames::default();
         frames.observe(frame(0, vec![], vec![near, far]));
         assert_eq!(frames.settle(Some(&map(0))), None);
         let places = [19.0, 1.0, 50.0].map(|x| GoalPoint {

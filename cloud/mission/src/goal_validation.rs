@@ -20,13 +20,13 @@ const MAX_ENTRIES: usize = 256;
 /// Longest name of a blackboard entry, bytes.
 const MAX_NAME: usize = 256;
 /// Bounds of a goal's tolerance, m.
-pub const TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
+pub const GOAL_TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
 /// Longest deadline, s.
 const LONGEST_DEADLINE: f64 = 1e7;
 
 /// Target of a goal.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Target {
+pub(crate) enum Target {
     /// Reach a pose.
     Pose(GoalPoint),
     /// Pass through waypoints in order.
@@ -40,25 +40,7 @@ pub enum Target {
 /// # Errors
 /// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for an unknown place, [`Refusal::Busy`] for one that may still be
 /// announced.
-///
-/// ```
-/// use zenav_mission::context::Context;
-/// use zenav_mission::goal_validation::{Target, target};
-/// use zenav_mission::{MissionConfig, Restored};
-/// use zenav_protocol::id::Id;
-/// use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
-///
-/// let mut config = MissionConfig::new(Id::robot("tiago").unwrap(), "mission-1", "unused.redb".into());
-/// let sink = GoalPoint { x: 2.0, y: 1.5, yaw: Some(0.0) };
-/// config.places.insert("sink".into(), sink);
-/// let ctx = Context::new(config, &Restored::fresh());
-/// let to_sink = GoalRequest { place: Some("sink".into()), ..GoalRequest::default() };
-/// assert_eq!(target(&to_sink, &ctx)?, Target::Pose(sink));
-/// let both = GoalRequest { x: Some(1.0), y: Some(1.0), ..to_sink };
-/// assert!(matches!(target(&both, &ctx), Err(Refusal::BadRequest { .. })));
-/// # Ok::<(), Refusal>(())
-/// ```
-pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
+pub(crate) fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
     check_fields(request)?;
     let point = request.x.is_some() || request.y.is_some();
     let kinds = [point, request.place.is_some(), !request.waypoints.is_empty()];
@@ -103,11 +85,14 @@ fn check_fields(request: &GoalRequest) -> Result<(), Refusal> {
     {
         return bad(format!("`id`: {error}"));
     }
-    if let Some(tolerance) = request.tolerance.filter(|tolerance| !TOLERANCE.contains(tolerance)) {
+    if let Some(tolerance) = request
+        .tolerance
+        .filter(|tolerance| !GOAL_TOLERANCE.contains(tolerance))
+    {
         return bad(format!(
             "`tolerance` is {tolerance}: expected {} to {} m",
-            TOLERANCE.start(),
-            TOLERANCE.end()
+            GOAL_TOLERANCE.start(),
+            GOAL_TOLERANCE.end()
         ));
     }
     let is_deadline = |secs: &f64| *secs > 0.0 && *secs <= LONGEST_DEADLINE;
@@ -165,7 +150,7 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
 ///
 /// # Errors
 /// [`Refusal::Rejected`] for a goal outside the map, in an obstacle or unreachable, with the nearest reachable place.
-pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(), Refusal> {
+pub(crate) fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(), Refusal> {
     let (points, enough) = match target {
         Target::Pose(point) => (vec![*point], NEARBY * tolerance),
         Target::Waypoints(points) => (points.clone(), 0.0),
@@ -259,5 +244,36 @@ fn rejected(goal: GoalPoint, what: &str, nearest: Option<Point2<f64>>) -> Refusa
             y: free.y,
             yaw: goal.yaw,
         }),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::config::MissionConfig;
+    use crate::records::Restored;
+
+    #[test]
+    fn a_goal_is_a_place_or_a_point_but_not_both() {
+        let mut config = MissionConfig::new(Id::robot("tiago").unwrap(), "mission-1", "unused.redb".into());
+        let sink = GoalPoint {
+            x: 2.0,
+            y: 1.5,
+            yaw: Some(0.0),
+        };
+        config.places.insert("sink".into(), sink);
+        let ctx = Context::new(config, &Restored::fresh());
+        let to_sink = GoalRequest {
+            place: Some("sink".into()),
+            ..GoalRequest::default()
+        };
+        assert_eq!(target(&to_sink, &ctx).unwrap(), Target::Pose(sink));
+        let both = GoalRequest {
+            x: Some(1.0),
+            y: Some(1.0),
+            ..to_sink
+        };
+        assert!(matches!(target(&both, &ctx), Err(Refusal::BadRequest { .. })));
     }
 }

@@ -1,8 +1,4 @@
 //! Goal table. Which goals are there, and how do they end? Every change becomes a record; a goal ends exactly once.
-//!
-//! A goal resubmitted under the same id is the same goal, and a request repeated under its id gets its first answer. Both are remembered
-//! within a window: all open goals, the last `MAX_ENDED` ended ones and the last `MAX_ANSWERS` answers. An older id means a new goal, so a
-//! client should not resend a goal after a thousand others have ended.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -11,7 +7,7 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::time::Stamp;
 
-use super::records::{Record, StoredGoal, Turn};
+use super::records::{QueueOrder, Record, StoredGoal};
 
 /// Ended goals kept: the window within which a goal's id is recognised.
 const MAX_ENDED: usize = 1000;
@@ -25,6 +21,10 @@ const TOLD_AGAIN: usize = 32;
 const DEFAULT_LIMIT: usize = 100;
 
 /// All goals of one robot.
+///
+/// A goal resubmitted under the same id is the same goal, and a request repeated under its id gets its first answer. Both are remembered
+/// within a window: all open goals, the last 1,000 ended ones and the last 256 answers. An older id means a new goal, so a client should
+/// not resend a goal after a thousand others have ended.
 #[derive(Clone, Debug, Default)]
 pub struct GoalTable {
     goals: BTreeMap<u64, StoredGoal>,
@@ -81,7 +81,7 @@ impl GoalTable {
     /// The first goal of the queue: preempting goals first, then by priority, then by age.
     ///
     /// ```
-    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_mission::GoalTable;
     /// use zenav_protocol::messages::GoalRequest;
     /// use zenav_protocol::time::Stamp;
     ///
@@ -115,7 +115,7 @@ impl GoalTable {
     /// [`Refusal::Rejected`] for a goal that is not waiting.
     ///
     /// ```
-    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_mission::GoalTable;
     /// use zenav_protocol::messages::GoalRequest;
     /// use zenav_protocol::time::Stamp;
     ///
@@ -148,16 +148,16 @@ impl GoalTable {
         else {
             return Ok(());
         };
-        let mut order: Vec<(u64, Turn)> = queue.iter().map(|goal| (goal.sequence, goal.turn())).collect();
+        let mut order: Vec<(u64, QueueOrder)> = queue.iter().map(|goal| (goal.sequence, goal.turn())).collect();
         let (sequence, turn) = order.remove(moved);
         let at = at.map_or(order.len(), |at| if at > moved { at - 1 } else { at });
         let number = turn.number;
-        order.insert(at, (sequence, Turn { number, ..class }));
+        order.insert(at, (sequence, QueueOrder { number, ..class }));
         order.retain(|(_, turn)| turn.is_beside(&class));
         let mut numbers: Vec<u64> = order.iter().map(|(_, turn)| turn.number).collect();
         numbers.sort_unstable();
         for ((sequence, turn), number) in order.into_iter().zip(numbers) {
-            let turn = Turn { number, ..turn };
+            let turn = QueueOrder { number, ..turn };
             if let Some(goal) = self.goals.get_mut(&sequence).filter(|goal| goal.turn() != turn) {
                 goal.moved = Some(turn);
                 self.store(sequence);
@@ -255,7 +255,7 @@ impl GoalTable {
     /// Ends a goal; `false` if it is unknown or has already ended.
     ///
     /// ```
-    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_mission::GoalTable;
     /// use zenav_protocol::messages::{GoalPhase, GoalRequest};
     /// use zenav_protocol::time::Stamp;
     ///
@@ -304,7 +304,7 @@ impl GoalTable {
     /// The answer to a resubmitted goal: its state, or a refusal if the id belongs to a different goal. `None` for a new id.
     ///
     /// ```
-    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_mission::GoalTable;
     /// use zenav_protocol::messages::GoalRequest;
     /// use zenav_protocol::time::Stamp;
     ///
@@ -319,7 +319,7 @@ impl GoalTable {
     pub fn resubmitted(&self, request: &GoalRequest) -> Option<Result<GoalReply, Refusal>> {
         let known = self.get(request.id.as_ref()?)?;
         if known.state.request == *request {
-            return Some(Ok(reply(&known.state)));
+            return Some(Ok(goal_reply(&known.state)));
         }
         let id = &known.state.id;
         Some(Err(Refusal::rejected(format!(
@@ -372,7 +372,7 @@ impl GoalTable {
     /// [`Refusal::NotFound`] for an unknown id.
     ///
     /// ```
-    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_mission::GoalTable;
     /// use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalsRequest};
     /// use zenav_protocol::time::Stamp;
     ///
@@ -422,7 +422,7 @@ fn shown(goal: &StoredGoal, places: &BTreeMap<u64, u64>) -> GoalState {
 
 /// A goal's state as a reply.
 #[must_use]
-pub fn reply(goal: &GoalState) -> GoalReply {
+pub fn goal_reply(goal: &GoalState) -> GoalReply {
     GoalReply {
         robot: None,
         id: goal.id.clone(),

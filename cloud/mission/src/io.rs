@@ -45,7 +45,7 @@ pub struct Inputs {
     pub mapper_alive: Option<bool>,
     /// Answers to the mission's requests.
     pub answers: Vec<(Ticket, Result<Answer, NoAnswer>)>,
-    /// Clients' requests.
+    /// Requests of clients, in the order of arrival.
     pub requests: Vec<(Client, MissionRequest)>,
 }
 
@@ -93,15 +93,15 @@ impl Ask {
 /// The answer to an [`Ask`] of the same name.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
-    /// A lease.
+    /// The robot's answer about its lease.
     Lease(LeaseReply),
-    /// The robot.
+    /// The robot's identity and model.
     EdgeInfo(Box<InfoReply>),
     /// A maneuver's progress.
     Behaviour(BehaviourReply),
     /// A path, a trajectory, or both; or why there is none.
     Motion(Box<MotionReply>),
-    /// A map.
+    /// The map, or the answer to an action on it.
     Map(Box<MapReply>),
     /// Whether the robot's pose can be trusted.
     Localised(LocaliseReply),

@@ -1,8 +1,5 @@
 //! Lease client. Does this mission command the robot, and does it keep the robot's goals? It requests the lease until granted, renews it
 //! with heartbeats, and relies on the robot's record, not on its own.
-//!
-//! To command means to hold the lease; to lead means to keep the goals, which continues while an operator commands. If another store may
-//! hold newer goals, this mission leads only once the robot has confirmed it since the mission started or woke.
 
 use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Refusal};
 use zenav_protocol::time::Stamp;
@@ -32,6 +29,9 @@ struct Grant {
 }
 
 /// Acquires and renews the lease.
+///
+/// To command means to hold the lease; to lead means to keep the goals, which continues while an operator commands. If another store may
+/// hold newer goals, this mission leads only once the robot has confirmed it since the mission started or woke.
 #[derive(Clone, Debug)]
 pub struct LeaseClient {
     holder: String,
@@ -194,10 +194,7 @@ impl LeaseClient {
     /// Requests the lease if it is not held; returns a heartbeat if one is due. `echo` is the robot's time, as far as known.
     ///
     /// ```
-    /// use zenav_mission::context::Asks;
-    /// use zenav_mission::lease::LeaseClient;
-    /// use zenav_mission::records::Leadership;
-    /// use zenav_mission::{Answer, Ask};
+    /// use zenav_mission::{Answer, Ask, Asks, LeaseClient, Leadership};
     /// use zenav_protocol::messages::LeaseReply;
     /// use zenav_protocol::time::Stamp;
     ///
@@ -297,15 +294,8 @@ impl LeaseClient {
 }
 
 /// A counter that grows over restarts: the incarnation in the upper 32 bits, the count below.
-///
-/// ```
-/// use zenav_mission::lease::newer;
-///
-/// // The first number of a run is higher than every number of the run before.
-/// assert!(newer(2, 0) > newer(1, 4_000_000_000));
-/// ```
 #[must_use]
-pub fn newer(incarnation: u64, count: u64) -> u64 {
+pub(crate) fn newer(incarnation: u64, count: u64) -> u64 {
     (incarnation << 32) | (count & 0xffff_ffff)
 }
 
@@ -336,6 +326,11 @@ mod tests {
             })),
         );
         (client, asks)
+    }
+
+    #[test]
+    fn the_first_number_of_a_run_is_higher_than_every_number_of_the_run_before() {
+        assert!(newer(2, 0) > newer(1, 4_000_000_000));
     }
 
     #[test]

@@ -6,33 +6,29 @@
 //! first of which must be persisted before the others. A thin service carries out the effects (`zenav-cloud`), or a test does
 //! (`examples/by_hand.rs`).
 //!
-//! Requests are idempotent by id within a window: see [`goals`].
+//! Requests are idempotent by id within a window: see [`GoalTable`].
 //!
-//! | file | answers |
+//! # Where to begin
+//!
+//! | question | entry point |
 //! |---|---|
-//! | [`config`] | what can be set? |
-//! | [`io`] | what are the inputs and outputs of a step? |
-//! | [`orchestrator`], `publishing` | what happens in a step, and what does it store and publish? |
-//! | `requests`, [`goal_validation`], [`goals`] | how are clients answered, which goals are accepted, which are there? |
-//! | [`records`], [`store`] | what survives a crash, and where is it kept? |
-//! | [`lease`] | does this mission command the robot? |
-//! | [`membership`], [`standby`] | which standbys hold everything, and when may one lead? |
-//! | [`robot`], [`map`] | what is known about the robot and its map? |
-//! | [`frames`], `spots` | where are goals and plans after the map has moved? |
-//! | [`transient`] | which obstacles on the map may leave again, and how long have they been there? |
-//! | [`motion`] | which plan is in force, and is it still free? |
-//! | [`route`] | how does a goal become a motion? plan, then smooth |
-//! | [`context`], [`leaves`], [`trees`] | what do the trees' leaves act on, which are there, which trees are shipped? |
+//! | How is a mission run? | [`Mission`], from a [`MissionConfig`] and what was [`Restored`] |
+//! | What goes in and out of a step? | [`Inputs`] and [`Effect`]; an [`Ask`] of the mission goes out under a [`Ticket`], and comes back as an [`Answer`] or [`NoAnswer`] |
+//! | What can be tuned? | [`MissionSettings`] |
+//! | Where is kept what survives a crash? | [`MissionStore`]; each [`Record`] is one change of it |
+//! | Which goals are there, and how does each end? | [`GoalTable`] |
+//! | Which mission commands the robot, and which may lead next? | [`LeaseClient`], [`Membership`], [`judge_entry`], [`may_lead`] |
+//! | Which trees are there, and how is one built? | [`trees`] |
+//! | What do a tree's leaves act on, and what do they read and write? | [`Context`], [`leaves`] |
 //!
 //! # A leaf of one's own
 //!
 //! A behaviour tree's actions and conditions are [`zenav_behaviour_tree::Leaf`]s. A leaf that acts on a robot gets the mission's
-//! [`context::Context`]; it is added by name, with its ports, before the first mission starts:
+//! [`Context`]; it is added by name, with its ports, before the first mission starts:
 //!
 //! ```
 //! use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Status};
-//! use zenav_mission::context::Context;
-//! use zenav_mission::trees;
+//! use zenav_mission::{Context, trees};
 //!
 //! /// SUCCESS while the robot is north of a line.
 //! struct IsNorthOf;
@@ -61,36 +57,73 @@
 //!
 //! A leaf that takes time returns `Running` and is ticked again; one with an external effect first remembers what it is about to do
 //! ([`zenav_behaviour_tree::LeafIo::remember`]) and does it in the next tick, once that is stored. A program in another language can
-//! execute an action through [`leaves::remote`].
+//! execute an action through the leaf RemoteAction ([`zenav_protocol::messages::RemoteRequest`]).
+//!
+//! # Files
+//!
+//! | file | answers |
+//! |---|---|
+//! | `config`, `settings` | what can be set? |
+//! | `io` | what are the inputs and outputs of a step? |
+//! | `orchestrator`, `publishing` | what happens in a step, and what does it store and publish? |
+//! | `requests`, `goal_validation`, `goals` | how are clients answered, which goals are accepted, which are there? |
+//! | `records`, `store` | what survives a crash, and where is it kept? |
+//! | `lease` | does this mission command the robot? |
+//! | `membership`, `standby` | which standbys hold everything, and when may one lead? |
+//! | `robot`, `map` | what is known about the robot and its map? |
+//! | `frames`, `spots` | where are goals and plans after the map has moved? |
+//! | `transient` | which obstacles on the map may leave again, and how long have they been there? |
+//! | `motion` | which plan is in force, and is it still free? |
+//! | `route` | how does a goal become a motion? plan, then smooth |
+//! | `context`, [`leaves`], [`trees`] | what do the trees' leaves act on, which are there, which trees are shipped? |
 
-pub mod config;
-pub mod context;
-pub mod frames;
-pub mod goal_validation;
-pub mod goals;
-pub mod io;
-pub mod lease;
+mod config;
+mod context;
+mod frames;
+mod goal_validation;
+mod goals;
+mod io;
+mod lease;
 pub mod leaves;
-pub mod map;
-pub mod membership;
-pub mod motion;
-pub mod orchestrator;
+mod map;
+mod membership;
+mod motion;
+mod orchestrator;
 mod publishing;
-pub mod records;
+mod records;
 mod requests;
 #[cfg(test)]
 mod rig;
-pub mod robot;
-pub mod route;
+mod robot;
+mod route;
 mod settings;
 mod spots;
-pub mod standby;
-pub mod store;
-pub mod transient;
+mod standby;
+mod store;
+mod transient;
 pub mod trees;
 
+// A mission and its steps.
 pub use config::MissionConfig;
 pub use io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 pub use orchestrator::Mission;
-pub use records::{Record, Restored};
 pub use settings::{MissionSettings, ObstacleSettings, ProgressSettings, RetrySettings};
+
+// Goals, and what is stored of them.
+pub use goal_validation::GOAL_TOLERANCE;
+pub use goals::{GoalTable, goal_reply};
+pub use records::{Leadership, QueueOrder, Record, Restored, RunningTree, StoredGoal};
+pub use store::{MissionStore, StoreError};
+
+// Several missions for one robot.
+pub use lease::LeaseClient;
+pub use membership::Membership;
+pub use standby::{JournalPosition, JournalVerdict, judge_entry, may_lead};
+
+// What leaves act on.
+pub use context::{ActiveGoal, Asks, Context};
+pub use frames::{GoalAnchors, MapFrames};
+pub use map::RobotMap;
+pub use motion::{MotionKeeper, PlanDraft, PlanStatus, Recheck};
+pub use robot::RobotView;
+pub use route::{Route, RouteData};

@@ -50,7 +50,7 @@ impl RobotMap {
     }
 
     /// Sets the zones of the map.
-    pub fn set_zones(&mut self, zones: Arc<Zones>) {
+    pub(crate) fn set_zones(&mut self, zones: Arc<Zones>) {
         self.spaces.set_zones(zones);
         self.zone_changes += 1;
     }
@@ -103,7 +103,7 @@ impl RobotMap {
     /// # use nalgebra::Point2;
     /// # use zenav_protocol::grid::{GridSpec, Occupancy};
     /// # use zenav_protocol::messages::{MapPatch, MapRef, TILE, Tile};
-    /// use zenav_mission::map::RobotMap;
+    /// use zenav_mission::RobotMap;
     /// use zenav_protocol::time::Stamp;
     ///
     /// # let patch = MapPatch {
@@ -130,7 +130,7 @@ impl RobotMap {
     }
 
     /// Requests the whole map if patches are missing.
-    pub fn step(&mut self, now: Stamp, asks: &mut Asks) {
+    pub(crate) fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
             self.next_ask = now.plus_secs(RETRY);
@@ -175,7 +175,7 @@ impl RobotMap {
     }
 
     /// The configuration space padded to an extent, and the replica with the same padding; `None` without a map.
-    pub fn space_reaching(
+    pub(crate) fn space_reaching(
         &mut self,
         footprint: &Footprint,
         extent: &Extent,
@@ -201,7 +201,7 @@ impl RobotMap {
 
     /// Transient cells near these places; none without a map.
     #[must_use]
-    pub fn transient(&self, near: &[Point2<f64>]) -> Vec<TransientCell> {
+    pub(crate) fn transient(&self, near: &[Point2<f64>]) -> Vec<TransientCell> {
         let grows = self.info.as_ref().is_some_and(|info| !info.stored);
         if self.spec().is_none_or(|spec| spec.is_empty()) {
             return Vec::new();
@@ -216,7 +216,7 @@ impl RobotMap {
 
     /// Whether a cell within a distance (m) of a place is occupied.
     #[must_use]
-    pub fn is_occupied_within(&self, place: Point2<f64>, within: f64) -> bool {
+    pub(crate) fn is_occupied_within(&self, place: Point2<f64>, within: f64) -> bool {
         self.occupied_near(place, within)
             .any(|center| (center - place).norm() <= within)
     }
@@ -224,7 +224,7 @@ impl RobotMap {
     /// Occupied cells within a distance (m) of a place that are surrounded by no others up to twice that distance: one or two beam returns
     /// far away, not a wall. None in a stored map.
     #[must_use]
-    pub fn lone(&self, place: Point2<f64>, within: f64) -> Vec<TransientCell> {
+    pub(crate) fn lone(&self, place: Point2<f64>, within: f64) -> Vec<TransientCell> {
         if self.info.as_ref().is_none_or(|info| info.stored) {
             return Vec::new();
         }
@@ -261,7 +261,7 @@ impl RobotMap {
 
     /// The configuration space of a (padded) replica of this map, with the cells at these points cleared.
     #[must_use]
-    pub fn space_without(
+    pub(crate) fn space_without(
         &mut self,
         map: &MapReplica,
         footprint: &Footprint,
@@ -277,7 +277,7 @@ impl RobotMap {
     /// # use zenav_protocol::grid::{GridSpec, Occupancy};
     /// # use zenav_protocol::messages::{MapPatch, MapRef, TILE, Tile};
     /// # use zenav_protocol::time::Stamp;
-    /// use zenav_mission::map::RobotMap;
+    /// use zenav_mission::RobotMap;
     /// use zenav_protocol::robot::Footprint;
     ///
     /// # let mut values = vec![Occupancy::FREE; (TILE * TILE) as usize];

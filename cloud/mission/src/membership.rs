@@ -1,8 +1,4 @@
 //! Membership. Which standbys hold everything that the leader has acknowledged, as far as the robot knows?
-//!
-//! The leader maintains the robot's list of stores that may lead next. A standby is listed once it holds everything, and from then on the
-//! leader waits for it; it is taken off the list before anything it lacks is acknowledged, and before it starts replication over. So every
-//! store on the robot's list holds everything that was acknowledged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -12,14 +8,15 @@ use zenav_protocol::messages::Leader;
 use super::lease::newer;
 use super::records::Leadership;
 
-/// A leader with standbys that was delayed for longer than this acknowledges nothing more until the robot confirms that it leads: others
-/// may have led since.
-pub const HELD_UP: Duration = Duration::from_secs(1);
 /// How long a dropped standby is not waited for: the first time, doubled on each drop up to the second; after the second without a drop it
 /// starts over.
 const DISTRUST: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
 /// A leader's standbys. All times are relative to the same instant of the leader's own clock.
+///
+/// The leader maintains the robot's list of stores that may lead next. A standby is listed once it holds everything, and from then on the
+/// leader waits for it; it is taken off the list before anything it lacks is acknowledged, and before it starts replication over. So every
+/// store on the robot's list holds everything that was acknowledged.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Membership {
     own: String,
@@ -40,6 +37,10 @@ pub struct Membership {
 }
 
 impl Membership {
+    /// A leader with standbys that was delayed for longer than this acknowledges nothing more until the robot confirms that it leads: others
+    /// may have led since.
+    pub const HELD_UP: Duration = Duration::from_secs(1);
+
     /// No standby yet. `incarnation` makes reports newer than those of every earlier run.
     #[must_use]
     pub fn new(own: &str, leadership: Leadership, incarnation: u64) -> Self {
@@ -102,7 +103,7 @@ impl Membership {
     /// Whether a leader must acknowledge nothing more, because it started something, or last ran, this long ago.
     #[must_use]
     pub fn is_held_up(&self, elapsed: Duration) -> bool {
-        self.shared && elapsed > HELD_UP
+        self.shared && elapsed > Self::HELD_UP
     }
 
     /// The stores that the leader waits for.
@@ -162,8 +163,7 @@ impl Membership {
     /// Whether the newest batch may be acknowledged: every standby that the robot may list has it on disk.
     ///
     /// ```
-    /// use zenav_mission::membership::Membership;
-    /// use zenav_mission::records::Leadership;
+    /// use zenav_mission::{Leadership, Membership};
     ///
     /// let mut leader = Membership::new("a", Leadership::default(), 1);
     /// leader.lead(Some(7));

@@ -6,12 +6,12 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{GoalReply, GoalState, Plan};
 use zenav_protocol::time::Stamp;
 
-use super::frames::Anchors;
+use super::frames::GoalAnchors;
 use zenav_behaviour_tree::TreeSnapshot;
 
 /// A goal's position in the order of the queue: preempting goals first, then by priority, then by number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Turn {
+pub struct QueueOrder {
     /// Whether the goal preempts.
     pub urgent: bool,
     /// Priority, highest first.
@@ -20,15 +20,15 @@ pub struct Turn {
     pub number: u64,
 }
 
-impl Turn {
+impl QueueOrder {
     /// Sort key of the queue.
     ///
     /// ```
-    /// use zenav_mission::records::Turn;
+    /// use zenav_mission::QueueOrder;
     ///
-    /// let turn = |urgent, priority, number| Turn { urgent, priority, number };
+    /// let turn = |urgent, priority, number| QueueOrder { urgent, priority, number };
     /// let mut queue = [turn(false, 0, 1), turn(false, 5, 2), turn(true, 0, 3)];
-    /// queue.sort_by_key(Turn::key);
+    /// queue.sort_by_key(QueueOrder::key);
     /// assert_eq!(queue.map(|turn| turn.number), [3, 2, 1], "a preempting goal, then the higher priority");
     /// ```
     #[must_use]
@@ -53,7 +53,7 @@ pub struct StoredGoal {
     pub urgent: bool,
     /// Its position since it was moved in the queue.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub moved: Option<Turn>,
+    pub moved: Option<QueueOrder>,
     /// Time spent paused, s.
     #[serde(default)]
     pub paused_secs: f64,
@@ -62,16 +62,16 @@ pub struct StoredGoal {
     pub paused_since: Option<Stamp>,
     /// Anchors of its places in the map, if the map may move.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub anchors: Option<Anchors>,
-    /// The goal.
+    pub anchors: Option<GoalAnchors>,
+    /// What clients see of the goal: its request, phase and progress.
     pub state: GoalState,
 }
 
 impl StoredGoal {
     /// Its position in the queue: in order of arrival, unless it was moved.
     #[must_use]
-    pub fn turn(&self) -> Turn {
-        self.moved.unwrap_or(Turn {
+    pub fn turn(&self) -> QueueOrder {
+        self.moved.unwrap_or(QueueOrder {
             urgent: self.urgent,
             priority: self.state.request.priority,
             number: self.sequence,
@@ -79,7 +79,7 @@ impl StoredGoal {
     }
 }
 
-/// The running tree.
+/// A tree between two ticks, with the goal that runs it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunningTree {
     /// The goal that it serves.
@@ -125,7 +125,7 @@ pub struct Restored {
     pub leadership: Leadership,
     /// Number of this run, higher than that of every earlier run.
     pub incarnation: u64,
-    /// All goals.
+    /// Goals that wait, run or have ended, as last stored.
     pub goals: Vec<StoredGoal>,
     /// The tree that was running.
     pub tree: Option<RunningTree>,

@@ -9,7 +9,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::goal_validation;
-use super::goals::reply;
+use super::goals::goal_reply;
 use super::orchestrator::Mission;
 
 /// Longest request id, bytes.
@@ -228,7 +228,7 @@ impl Mission {
     fn state_of(&self, id: &str) -> Result<GoalReply, Refusal> {
         self.goals
             .get(id)
-            .map(|goal| reply(&goal.state))
+            .map(|goal| goal_reply(&goal.state))
             .ok_or_else(|| Refusal::NotFound {
                 what: format!("goal {id}"),
             })

@@ -13,7 +13,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
-use super::frames::Frames;
+use super::frames::MapFrames;
 use super::io::{Answer, Ask, Ticket};
 
 /// Age beyond which the newest state makes the robot silent, s.
@@ -60,7 +60,7 @@ pub struct RobotView {
 
 impl RobotView {
     /// Observes the robot's events.
-    pub fn hear(&mut self, now: Stamp, events: &[Event]) {
+    pub(crate) fn hear(&mut self, now: Stamp, events: &[Event]) {
         if !events.iter().any(|event| matches!(event.kind, EventKind::Bumped)) {
             return;
         }
@@ -83,12 +83,12 @@ impl RobotView {
     }
 
     /// Observes a report on its localisation.
-    pub fn observe_localisation(&mut self, now: Stamp, said: Localisation) {
+    pub(crate) fn observe_localisation(&mut self, now: Stamp, said: Localisation) {
         self.localisation = Some((now, said));
     }
 
     /// Takes a report of the robots that it gives way to. Invalid courses are dropped.
-    pub fn observe_yield(&mut self, now: Stamp, mut told: Yield) {
+    pub(crate) fn observe_yield(&mut self, now: Stamp, mut told: Yield) {
         told.courses.retain(KnownCourse::is_sound);
         told.courses.truncate(KnownCourse::MOST);
         if told.wait_secs.is_finite() && !told.courses.is_empty() {
@@ -159,7 +159,7 @@ impl RobotView {
     }
 
     /// Observes the robot's newest state and pose. Values that are not finite are dropped.
-    pub fn observe(&mut self, now: Stamp, state: Option<EdgeState>, pose: Option<PoseEstimate>) {
+    pub(crate) fn observe(&mut self, now: Stamp, state: Option<EdgeState>, pose: Option<PoseEstimate>) {
         if let Some(state) = state.filter(|state| state.velocity.is_finite()) {
             self.state = Some((now, state));
         }
@@ -170,7 +170,7 @@ impl RobotView {
 
     /// Requests the model until there is one of the robot's present boot. A reply with another schema version is ignored, because it may be
     /// from anybody, and the request is repeated.
-    pub fn step(&mut self, now: Stamp, asks: &mut Asks) {
+    pub(crate) fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
             self.next_ask = now.plus_secs(RETRY);
@@ -250,7 +250,7 @@ impl RobotView {
     }
 
     /// Switches to the present frame of the map.
-    pub fn settle(&mut self, frames: &Frames) {
+    pub(crate) fn settle(&mut self, frames: &MapFrames) {
         self.here_from_told = self.pose.as_ref().and_then(|(_, pose)| frames.robot(pose.frame));
     }
 
@@ -267,7 +267,7 @@ impl RobotView {
         Some(self.here_from_told? * pose.map_from_base)
     }
 
-    /// Its velocity.
+    /// Its velocity by its newest state; at rest before it was heard.
     #[must_use]
     pub fn velocity(&self) -> Twist2 {
         self.state().map_or(Twist2::ZERO, |state| state.velocity)
@@ -279,7 +279,7 @@ impl RobotView {
         is_rest(self.velocity())
     }
 
-    /// Its model.
+    /// Its model, once the robot has told it.
     #[must_use]
     pub fn model(&self) -> Option<&RobotModel> {
         self.model.as_ref()
@@ -348,7 +348,7 @@ mod tests {
         for (speed, is_felt) in [(0.4, true), (0.0, false)] {
             let mut robot = RobotView::default();
             robot.observe(at(9.9), Some(told(speed)), Some(pose.clone()));
-            robot.settle(&Frames::default());
+            robot.settle(&MapFrames::default());
             robot.hear(at(10.0), std::slice::from_ref(&bump));
             assert!(robot.was_bumped_within(at(11.0), 2.0));
             // Who bumps into a robot at rest was seen to come.

@@ -22,7 +22,7 @@ impl JournalPosition {
 
 /// What to do with a journal entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum JournalVerdict {
     /// Apply it.
     Take {
         /// Replaces the stored content instead of extending it.
@@ -40,7 +40,7 @@ pub enum Verdict {
 /// [`Refusal::Rejected`] with the reason.
 ///
 /// ```
-/// use zenav_mission::standby::{JournalPosition, Verdict, judge};
+/// use zenav_mission::{JournalPosition, JournalVerdict, judge_entry};
 /// use zenav_protocol::messages::{JournalEntry, Leader};
 /// use zenav_protocol::time::Stamp;
 ///
@@ -54,12 +54,16 @@ pub enum Verdict {
 ///     now: Stamp::from_secs(9.0),
 ///     writes: Vec::new(),
 /// };
-/// assert_eq!(judge(&entry, Some(&word), &place)?, Verdict::Take { instead: false });
-/// assert!(judge(&entry, None, &place).is_err(), "the robot names no leader");
-/// assert!(judge(&JournalEntry { position: 6, ..entry }, Some(&word), &place).is_err(), "entry 5 is missing");
+/// assert_eq!(judge_entry(&entry, Some(&word), &place)?, JournalVerdict::Take { instead: false });
+/// assert!(judge_entry(&entry, None, &place).is_err(), "the robot names no leader");
+/// assert!(judge_entry(&JournalEntry { position: 6, ..entry }, Some(&word), &place).is_err(), "entry 5 is missing");
 /// # Ok::<(), zenav_protocol::messages::Refusal>(())
 /// ```
-pub fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPosition) -> Result<Verdict, Refusal> {
+pub fn judge_entry(
+    entry: &JournalEntry,
+    word: Option<&Leader>,
+    place: &JournalPosition,
+) -> Result<JournalVerdict, Refusal> {
     if entry.session != place.session {
         return Err(Refusal::rejected("the entry belongs to another session"));
     }
@@ -73,8 +77,8 @@ pub fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPositio
         )));
     }
     match entry.position {
-        next if next == place.position + 1 => Ok(Verdict::Take { instead: next == 1 }),
-        known if known <= place.position && entry.writes.is_empty() => Ok(Verdict::Known),
+        next if next == place.position + 1 => Ok(JournalVerdict::Take { instead: next == 1 }),
+        known if known <= place.position && entry.writes.is_empty() => Ok(JournalVerdict::Known),
         known if known <= place.position => Err(Refusal::rejected(format!("entry {known} is stored already"))),
         late => Err(Refusal::rejected(format!(
             "entry {late} does not follow {}",
@@ -86,7 +90,7 @@ pub fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPositio
 /// Whether the robot would grant the lease to the mission with this store.
 ///
 /// ```
-/// use zenav_mission::standby::may_lead;
+/// use zenav_mission::may_lead;
 /// use zenav_protocol::messages::{Leader, LeaseState};
 ///
 /// let leader = Leader { store: "a".into(), epoch: 7, caught_up: vec!["a".into(), "b".into()], revision: 1 };
@@ -141,7 +145,7 @@ mod tests {
             session: "s".into(),
             position,
         };
-        let judged = |entry: JournalEntry| judge(&entry, Some(&named), &place(4));
+        let judged = |entry: JournalEntry| judge_entry(&entry, Some(&named), &place(4));
         let with_writes = |position| JournalEntry {
             writes: vec![JournalWrite {
                 table: "goals".into(),
@@ -150,9 +154,13 @@ mod tests {
             }],
             ..entry("a", 7, "s", position)
         };
-        assert_eq!(judged(with_writes(5)), Ok(Verdict::Take { instead: false }));
-        assert_eq!(judged(entry("a", 7, "s", 4)), Ok(Verdict::Known), "alive");
-        assert_eq!(judged(entry("a", 7, "s", 1)), Ok(Verdict::Known), "alive, and late");
+        assert_eq!(judged(with_writes(5)), Ok(JournalVerdict::Take { instead: false }));
+        assert_eq!(judged(entry("a", 7, "s", 4)), Ok(JournalVerdict::Known), "alive");
+        assert_eq!(
+            judged(entry("a", 7, "s", 1)),
+            Ok(JournalVerdict::Known),
+            "alive, and late"
+        );
         let strangers = [
             with_writes(4),
             with_writes(1),
@@ -165,14 +173,14 @@ mod tests {
         for stranger in strangers {
             assert!(matches!(judged(stranger), Err(Refusal::Rejected { .. })));
         }
-        let silent = judge(&entry("a", 7, "s", 5), None, &place(4));
+        let silent = judge_entry(&entry("a", 7, "s", 5), None, &place(4));
         assert!(
             matches!(silent, Err(Refusal::Rejected { .. })),
             "of a robot that is silent"
         );
         assert_eq!(
-            judge(&entry("a", 7, "s", 1), Some(&named), &place(0)),
-            Ok(Verdict::Take { instead: true })
+            judge_entry(&entry("a", 7, "s", 1), Some(&named), &place(0)),
+            Ok(JournalVerdict::Take { instead: true })
         );
     }
 

@@ -1,10 +1,4 @@
 //! Store. Where are goals kept? In one redb file per mission: goals, the running tree, the plan in force, first answers, the incarnation.
-//!
-//! Every batch of records is one transaction, on disk before [`Store::write`] returns. Records are JSON, so that a newer program can read
-//! an older file. A batch can also be applied to a standby's store; the file's own metadata (name, leadership) never leaves it.
-//!
-//! A file is accepted only if it is intact: it names its robot, and the checksum of its records matches. An empty file is not a new store,
-//! because a new one is put into place only when it has its name.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -57,8 +51,14 @@ const NOW: &str = "now";
 const INCARNATION: &str = "incarnation";
 
 /// A mission's file.
+///
+/// Every batch of records is one transaction, on disk before [`write`](Self::write) returns. Records are JSON, so that a newer program can
+/// read an older file. A batch can also be applied to a standby's store; the file's own metadata (name, leadership) never leaves it.
+///
+/// A file is accepted only if it is intact: it names its robot, and the checksum of its records matches. An empty file is not a new store,
+/// because a new one is put into place only when it has its name.
 #[derive(Debug)]
-pub struct Store {
+pub struct MissionStore {
     /// `None` while it could not be reopened.
     database: RwLock<Option<Database>>,
     path: PathBuf,
@@ -74,12 +74,12 @@ pub enum StoreError {
         /// The file.
         path: String,
     },
-    /// The disk is full or read-only: nothing can be stored until that is resolved and [`Store::reopen`] was called.
+    /// The disk is full or read-only: nothing can be stored until that is resolved and [`MissionStore::reopen`] was called.
     #[error("{path}: {reason}")]
     NoRoom {
         /// The file.
         path: String,
-        /// The disk's error.
+        /// What the disk reports.
         reason: String,
     },
     /// The file is damaged, changed by another program, or another robot's.
@@ -103,14 +103,14 @@ pub enum StoreError {
     Record {
         /// The file.
         path: String,
-        /// The record.
+        /// Key of the record.
         record: String,
         /// What is wrong with it.
         reason: String,
     },
 }
 
-impl Store {
+impl MissionStore {
     /// Opens or creates the file with the goals of a robot.
     ///
     /// # Errors
@@ -118,14 +118,14 @@ impl Store {
     /// [`StoreError::NoRoom`]; [`StoreError::Io`]; [`StoreError::Record`].
     ///
     /// ```
-    /// use zenav_mission::store::{Store, StoreError};
+    /// use zenav_mission::{MissionStore, StoreError};
     ///
     /// let folder = tempfile::tempdir().unwrap();
     /// let path = folder.path().join("mission.redb");
-    /// let store = Store::open(&path, "tiago")?;
-    /// assert!(matches!(Store::open(&path, "tiago"), Err(StoreError::Locked { .. })));
+    /// let store = MissionStore::open(&path, "tiago")?;
+    /// assert!(matches!(MissionStore::open(&path, "tiago"), Err(StoreError::Locked { .. })));
     /// drop(store);
-    /// assert!(matches!(Store::open(&path, "jackal"), Err(StoreError::Foreign { .. })), "another robot's goals");
+    /// assert!(matches!(MissionStore::open(&path, "jackal"), Err(StoreError::Foreign { .. })), "another robot's goals");
     /// # Ok::<(), StoreError>(())
     /// ```
     pub fn open(path: &Path, robot: &str) -> Result<Self, StoreError> {
@@ -176,7 +176,7 @@ impl Store {
     /// Reopens the file: required after [`StoreError::NoRoom`] before anything can be read or written.
     ///
     /// # Errors
-    /// As [`Store::open`]; again [`StoreError::NoRoom`] if there is still none.
+    /// As [`MissionStore::open`]; again [`StoreError::NoRoom`] if there is still none.
     pub fn reopen(&self) -> Result<(), StoreError> {
         let mut database = self.database.write().unwrap_or_else(PoisonError::into_inner);
         database.take();
@@ -284,9 +284,7 @@ impl Store {
     /// [`StoreError`]; then nothing that depends on these records may be acknowledged.
     ///
     /// ```
-    /// use zenav_mission::Record;
-    /// use zenav_mission::goals::GoalTable;
-    /// use zenav_mission::store::Store;
+    /// use zenav_mission::{GoalTable, MissionStore};
     /// use zenav_protocol::messages::GoalRequest;
     /// use zenav_protocol::time::Stamp;
     ///
@@ -294,11 +292,11 @@ impl Store {
     /// let path = folder.path().join("mission.redb");
     /// let mut goals = GoalTable::default();
     /// goals.accept("tiago", "a".into(), GoalRequest::default(), false, Stamp::from_secs(1.0));
-    /// Store::open(&path, "tiago")?.write(&goals.take_records())?;
+    /// MissionStore::open(&path, "tiago")?.write(&goals.take_records())?;
     ///
-    /// let restored = Store::open(&path, "tiago")?.begin_life()?;
+    /// let restored = MissionStore::open(&path, "tiago")?.begin_life()?;
     /// assert_eq!(restored.goals[0].state.id, "a");
-    /// # Ok::<(), zenav_mission::store::StoreError>(())
+    /// # Ok::<(), zenav_mission::StoreError>(())
     /// ```
     pub fn write(&self, records: &[Record]) -> Result<Vec<JournalWrite>, StoreError> {
         let writes: Vec<JournalWrite> = records
@@ -332,21 +330,19 @@ impl Store {
     /// [`StoreError`], also for an unknown table; then nothing is written.
     ///
     /// ```
-    /// use zenav_mission::goals::GoalTable;
-    /// use zenav_mission::records::Leadership;
-    /// use zenav_mission::store::Store;
+    /// use zenav_mission::{GoalTable, Leadership, MissionStore};
     /// use zenav_protocol::messages::GoalRequest;
     /// use zenav_protocol::time::Stamp;
     ///
     /// let folder = tempfile::tempdir().unwrap();
-    /// let [leader, standby] = ["leader", "standby"].map(|name| Store::open(&folder.path().join(name), "tiago").unwrap());
+    /// let [leader, standby] = ["leader", "standby"].map(|name| MissionStore::open(&folder.path().join(name), "tiago").unwrap());
     /// let mut goals = GoalTable::default();
     /// goals.accept("tiago", "a".into(), GoalRequest::default(), false, Stamp::from_secs(1.0));
     /// let writes = leader.write(&goals.take_records())?;
     /// standby.apply(&writes, false, Some(Leadership { epoch: 7, shared: true }))?;
     /// assert_eq!(standby.everything()?, leader.everything()?);
     /// assert_eq!((standby.leadership()?.epoch, leader.leadership()?.epoch), (7, 0));
-    /// # Ok::<(), zenav_mission::store::StoreError>(())
+    /// # Ok::<(), zenav_mission::StoreError>(())
     /// ```
     pub fn apply(
         &self,

@@ -1,4 +1,6 @@
 //! Shipped trees. Which trees are there, and how is a goal's tree built?
+//!
+//! A module of its own, because its functions are clear only with its name: `trees::build`, `trees::shipped`.
 
 use std::fmt;
 use std::sync::OnceLock;

@@ -31,7 +31,7 @@ use std::time::Duration;
 use nalgebra::Point2;
 use rand::Rng as _;
 use rand_pcg::Pcg64Mcg;
-use zenav_mapping::{map_file, moving_ai};
+use zenav_mapping::{cell_from_top, parse_moving_ai_map, parse_moving_ai_scenarios, read_map};
 use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::{Cell, Occupancy};
 use zenav_space::{BitGrid, LineOfSight as _, PointLineOfSight};
@@ -106,9 +106,9 @@ struct Terrain {
 impl Terrain {
     fn read(path: &Path) -> Self {
         let grid = if path.extension().is_some_and(|ending| ending == "map") {
-            moving_ai::parse_map(&std::fs::read(path).unwrap(), 0.05).unwrap()
+            parse_moving_ai_map(&std::fs::read(path).unwrap(), 0.05).unwrap()
         } else {
-            map_file::read_map(path, 0.05).unwrap()
+            read_map(path, 0.05).unwrap()
         };
         let name = path.file_stem().unwrap().to_string_lossy().into_owned();
         let free = BitGrid::from_fn(grid.spec().width, grid.spec().height, |cell| {
@@ -116,9 +116,9 @@ impl Terrain {
         });
         let scenario = PathBuf::from(format!("{}.scen", path.display()));
         let queries = scenario.exists().then(|| {
-            let mut all = moving_ai::parse_scenarios(&std::fs::read(&scenario).unwrap()).unwrap();
+            let mut all = parse_moving_ai_scenarios(&std::fs::read(&scenario).unwrap()).unwrap();
             all.sort_by(|a, b| b.optimum.total_cmp(&a.optimum));
-            let cell = |at| moving_ai::cell_from_top(grid.spec(), at).unwrap();
+            let cell = |at| cell_from_top(grid.spec(), at).unwrap();
             all.iter()
                 .take(QUERIES)
                 .map(|query| (cell(query.start), cell(query.goal), query.optimum))

@@ -196,7 +196,7 @@ impl<'a> Refinable<'a> {
         }
     }
 
-    /// As [`refine()`].
+    /// [`refine()`] on these points, whose normals are computed only once.
     #[must_use]
     pub fn refine(
         &self,

@@ -72,7 +72,8 @@ pub struct Search {
 }
 
 impl Search {
-    /// Score margin of the best pose over the second-best place; its own score if there is no second.
+    /// Score margin of the best pose over the second-best place; its own score if there is no second. Places below the window's
+    /// [`min_score`](Window::min_score) are not known: there may be one just below it.
     ///
     /// ```
     /// # use nalgebra::Point2;

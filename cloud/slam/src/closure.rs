@@ -238,19 +238,25 @@ pub(crate) fn seen_again(
         budget: around.budget,
         ..Window::around(expected, around.reach, around.turn)
     };
-    let found = search(submap.pyramid(), &thinned(scan, SEARCH_POINTS), &window);
-    if !found.is_exact {
-        // The second-best place is not known.
-        return Seen::Cut;
-    }
-    let Some(best) = found.found.first() else {
-        return Seen::No;
+    let few = thinned(scan, SEARCH_POINTS);
+    let mut found = search(submap.pyramid(), &few, &window);
+    let Some(best) = found.found.first().copied().filter(|_| found.is_exact) else {
+        return if found.is_exact { Seen::No } else { Seen::Cut };
     };
+    let refined = submap.refine(&Refinable::seen_from(laser, scan), best.pose, None, &settings.refine);
+    let is_far = refined.pose.distance(&expected) > closure.reach;
+    let min_score = best.score - if is_far { FAR_AMBIGUOUS } else { AMBIGUOUS };
+    if found.found.len() == 1 && min_score < closure.min_score {
+        // A second place about as good counts even if it scores too little for a closure.
+        found = search(submap.pyramid(), &few, &Window { min_score, ..window });
+        if !found.is_exact {
+            return Seen::Cut;
+        }
+    }
     let margin = found.margin().unwrap_or_default();
     if margin < AMBIGUOUS {
         return Seen::No;
     }
-    let refined = submap.refine(&Refinable::seen_from(laser, scan), best.pose, None, &settings.refine);
     let verdict = judge(&submap.field, laser, scan, refined.pose, &settings.verdict);
     // Somebody who walked ahead of the robot has drawn a trail that looks like walls.
     let passes_what_stands = |submap: &mut Submap| {
@@ -282,5 +288,76 @@ pub(crate) fn closure(anchor: usize, node: usize, refined: &Refined, settings: &
         measurement: refined.pose,
         information: floored(&refined.information, DOUBT * front.floor, DOUBT * front.floor_turn),
         kind: EdgeKind::Closure,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a robot sees of a room of 4 m by 3 m with its left wall at `x`, except for the first `gap` m of the upper wall. In the lower left
+    /// corner stands a pillar.
+    fn room(x: f64, gap: f64) -> Vec<Point2<f64>> {
+        let along = |from: f64, to: f64| {
+            let count = ((to - from) / 0.05).round() as u32;
+            (0..count).map(move |nth| from + 0.05 * f64::from(nth))
+        };
+        let lower = along(1.0, 4.0).map(|at| Point2::new(at, 0.0));
+        let upper = along(gap, 4.0).map(|at| Point2::new(at, 3.0));
+        let left = along(1.0, 3.0).map(|at| Point2::new(0.0, at));
+        let right = along(0.0, 3.0).map(|at| Point2::new(4.0, at));
+        let pillar = along(0.0, 1.0).flat_map(|at| [Point2::new(1.0, at), Point2::new(at, 1.0)]);
+        let points = lower.chain(upper).chain(left).chain(right).chain(pillar);
+        // Not on the edges of cells.
+        points
+            .map(|point| Point2::new(point.x + x + 0.02, point.y + 0.02))
+            .collect()
+    }
+
+    #[test]
+    fn a_second_place_makes_a_closure_ambiguous_even_if_it_scores_too_little_for_one() {
+        let scan = room(0.0, 0.0);
+        // Beside the room stands one that lacks a bit of a wall.
+        let seen = |has_second: bool, settings: &SlamSettings| {
+            let mut submap = Submap::new(0, &settings.field);
+            let second = has_second.then(|| room(6.0, 0.3));
+            let walls: Vec<Point2<f64>> = scan.iter().copied().chain(second.into_iter().flatten()).collect();
+            submap.insert(Pose2::IDENTITY, &Refinable::new(&walls));
+            let around = Around {
+                reach: 8.0,
+                turn: 0.1,
+                budget: 10_000_000,
+            };
+            let scans = Scans {
+                sessions: &[],
+                points: &[],
+            };
+            let laser = Point2::new(2.0, 1.5);
+            let best = search(
+                submap.pyramid(),
+                &thinned(&scan, SEARCH_POINTS),
+                &Window {
+                    count: 2,
+                    apart: APART.0,
+                    apart_turn: APART.1,
+                    budget: around.budget,
+                    ..Window::around(Pose2::IDENTITY, around.reach, around.turn)
+                },
+            );
+            let expected = Pose2::IDENTITY;
+            let seen = seen_again(&mut submap, scans, expected, around, laser, &scan, settings);
+            (best.found, seen)
+        };
+        let mut settings = SlamSettings::default();
+        let (places, _) = seen(true, &settings);
+        let [best, second] = places.as_slice() else {
+            panic!("{places:?}")
+        };
+        let margin = best.score - second.score;
+        assert!(margin > 0.0 && margin < AMBIGUOUS, "{places:?}");
+        assert!(second.pose.distance(&Pose2::new(6.0, 0.0, 0.0)) < 0.1, "{places:?}");
+        settings.closure.min_score = second.score + 0.5 * margin;
+        assert!(matches!(seen(true, &settings).1, Seen::No));
+        assert!(matches!(seen(false, &settings).1, Seen::At(..)), "without one");
     }
 }

@@ -24,7 +24,7 @@ pub struct Relation {
 /// Mean and standard deviation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
-    /// Mean.
+    /// Arithmetic mean.
     pub mean: f64,
     /// Standard deviation.
     pub deviation: f64,

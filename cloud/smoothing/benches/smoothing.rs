@@ -25,7 +25,7 @@ use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use rustix::time::{ClockId, clock_gettime};
-use zenav_mapping::map_file;
+use zenav_mapping::read_map;
 use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
@@ -48,7 +48,7 @@ const ROUNDING: f64 = 1e-6;
 
 fn main() {
     let grid = match std::env::var_os("ZENAV_BENCH_MAP") {
-        Some(path) => map_file::read_map(Path::new(&path), 0.05).expect("a map"),
+        Some(path) => read_map(Path::new(&path), 0.05).expect("a map"),
         None => house(),
     };
     let only = std::env::var("ZENAV_BENCH_ONLY").unwrap_or_default();

@@ -1,5 +1,6 @@
 //! Certificate. Checks a trajectory before it is sent: the true footprint's sweep against the map, and the largest use of every limit of
-//! the drive, both computed from the trajectory itself and not from what a solver reported.
+//! the drive, both computed from the trajectory itself and not from what a solver reported. The sweep is measured by `zenav_space`,
+//! whose own code `cargo bench -p zenav-space --bench space` compares with parry's.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, SolverFigures};

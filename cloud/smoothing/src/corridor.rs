@@ -53,7 +53,7 @@ impl HalfPlane {
 /// A convex free polygon, and the piece of the path that runs through it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FreePolygon {
-    /// Its sides.
+    /// Half planes whose intersection it is.
     pub sides: Vec<HalfPlane>,
     /// Where the path enters, m.
     pub from: Point2<f64>,

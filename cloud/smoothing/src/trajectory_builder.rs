@@ -79,7 +79,7 @@ impl TrajectoryBuilder<'_> {
         matches!(self.space.footprint(), Footprint::Polygon(_))
     }
 
-    /// Stop, turn, go.
+    /// The path with a stop and a turn at every corner, without a check for collisions.
     pub(super) fn unchecked_stop_turn_go(&self, path: &[Point2<f64>]) -> PiecewiseTrajectory {
         let SmoothQuery {
             start,

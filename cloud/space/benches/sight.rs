@@ -10,7 +10,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use nalgebra::{Point2, Vector2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_mapping::map_file;
+use zenav_mapping::read_map;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight, PointLineOfSight, UnknownPolicy};
@@ -48,7 +48,7 @@ fn house() -> OccupancyGrid {
 
 fn map() -> OccupancyGrid {
     match std::env::var_os("ZENAV_BENCH_MAP") {
-        Some(path) => map_file::read_map(std::path::Path::new(&path), 0.05).expect("a map"),
+        Some(path) => read_map(std::path::Path::new(&path), 0.05).expect("a map"),
         None => house(),
     }
 }

@@ -1,9 +1,10 @@
-//! Time to build and to update the configuration space. `cargo bench -p zenav-space --bench space`
+//! Time to build, to update and to query the configuration space. `cargo bench -p zenav-space --bench space`
 //!
 //! Each transform is compared with a plain textbook version on the same map in the same run: the truncated one with the textbook's
 //! truncated one (Saito and Toriwaki, 1994: two passes down the columns, a window along the rows, 16 bits a cell), the unbounded one with
 //! the textbook's unbounded one (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions", 2012: 32 bits a cell, as
-//! ours). Times are the thread's own CPU time, independent of other load.
+//! ours). The footprint's queries are compared with parry's on a tree over the same squares, each as a box and joined to fewer boxes; both
+//! are built beforehand, and must give the same answers. Times are the thread's own CPU time, independent of other load.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(
@@ -12,14 +13,20 @@
     reason = "a bench stops at the first thing that is not as it should be"
 )]
 
+use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use nalgebra::Point2;
+use parry2d_f64::math::{Pose, Vector};
+use parry2d_f64::query::{ClosestPoints, DefaultQueryDispatcher, QueryDispatcher as _};
+use parry2d_f64::shape::{Capsule, Compound, ConvexPolygon, SharedShape};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_fixtures::ThreadTime;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, TILE, Tile};
@@ -30,6 +37,15 @@ use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, Unknow
 const SIDES: [u32; 2] = [1000, 4000];
 /// Reach, cells.
 const REACH: u32 = 10;
+/// An outline with its base off its middle, m. For a rectangle parry has a shorter way, for others it has not.
+const OUTLINE: [(f64, f64); 5] = [(-0.4, -0.15), (0.1, -0.18), (0.2, 0.0), (0.1, 0.18), (-0.4, 0.15)];
+/// Number of poses of the footprint.
+const POSES: usize = 1000;
+/// A disc's radius, and the length of its ways, m.
+const DISC: f64 = 0.25;
+const WAY: f64 = 2.0;
+/// parry's distances are iterated: they equal ours to within this, m.
+const TOLERANCE: f64 = 1e-6;
 
 fn spec(side: u32) -> GridSpec {
     GridSpec {
@@ -188,6 +204,158 @@ fn distance(c: &mut Criterion<ThreadTime>) {
     }
 }
 
+fn vector(point: Point2<f64>) -> Vector {
+    Vector::new(point.x, point.y)
+}
+
+/// Set cells as few boxes: runs of a row, joined with equal runs of the rows above. First column and row, and those past the last.
+fn joined(cells: &BitGrid) -> Vec<[u32; 4]> {
+    let mut boxes = Vec::new();
+    // Runs of the row below, and the row in which each begins.
+    let mut open: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    for y in 0..=cells.height() {
+        let mut runs: Vec<(u32, u32)> = Vec::new();
+        for x in cells.set_in_row(y, 0, i64::MAX) {
+            match runs.last_mut() {
+                Some((_, end)) if *end == x => *end += 1,
+                _ => runs.push((x, x + 1)),
+            }
+        }
+        let mut next = BTreeMap::new();
+        for run in runs {
+            next.insert(run, open.remove(&run).unwrap_or(y));
+        }
+        boxes.extend(open.into_iter().map(|((left, right), low)| [left, low, right, y]));
+        open = next;
+    }
+    boxes
+}
+
+/// A tree of parry's over boxes in cells of a grid.
+fn tree(boxes: &[[u32; 4]], spec: &GridSpec) -> Compound {
+    let placed = boxes.iter().map(|sides| {
+        let [left, low, right, high] = sides.map(|at| f64::from(at) * spec.resolution);
+        let shape = SharedShape::cuboid(0.5 * (right - left), 0.5 * (high - low));
+        (Pose::translation(0.5 * (left + right), 0.5 * (low + high)), shape)
+    });
+    Compound::new(placed.collect())
+}
+
+/// Clearance of a footprint, whether it fits, and whether a disc passes.
+fn footprint(c: &mut Criterion<ThreadTime>) {
+    let spec = spec(SIDES[0]);
+    let footprint = zenav_fixtures::footprint(&OUTLINE);
+    let corners = OUTLINE.map(|(x, y)| Vector::new(x, y)).to_vec();
+    let body = ConvexPolygon::from_convex_polyline_unmodified(corners).unwrap();
+    let placed = |pose: Pose2| Pose::new(vector(pose.position()), pose.yaw);
+    let mut rng = Pcg64Mcg::seed_from_u64(2);
+    let side = f64::from(spec.width) * spec.resolution;
+    let mut at = || rng.random_range(0.0..side);
+    let places: Vec<Point2<f64>> = (0..POSES).map(|_| Point2::new(at(), at())).collect();
+    let poses: Vec<Pose2> = places
+        .iter()
+        .map(|place| Pose2::new(place.x, place.y, rng.random_range(-PI..PI)))
+        .collect();
+    let ends: Vec<Point2<f64>> = poses
+        .iter()
+        .map(|pose| pose.position() + pose.heading() * WAY)
+        .collect();
+    let ways: Vec<(Point2<f64>, Point2<f64>)> = places.into_iter().zip(ends).collect();
+    let chosen = |(name, _): &(&str, BitGrid)| matches!(*name, "office" | "random 1 %");
+    for (name, obstacles) in maps(SIDES[0]).into_iter().filter(chosen) {
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        let mut squares = Vec::new();
+        for y in 0..spec.height {
+            for x in obstacles.set_in_row(y, 0, i64::MAX) {
+                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
+                squares.push([x, y, x + 1, y + 1]);
+            }
+        }
+        let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Free, 0.0);
+        let trees = [
+            ("a box for each cell", tree(&squares, &spec)),
+            ("joined boxes", tree(&joined(&obstacles), &spec)),
+        ];
+        let distance = |tree: &Compound, pose: Pose2| {
+            let found = DefaultQueryDispatcher.distance(&placed(pose), tree, &body);
+            found.unwrap().distance
+        };
+        let within_reach = |tree: &Compound, pose: Pose2| {
+            let pose = placed(pose);
+            let found = DefaultQueryDispatcher.closest_points(&pose, tree, &body, space.reach());
+            match found.unwrap() {
+                ClosestPoints::Intersecting => 0.0,
+                ClosestPoints::WithinMargin(on_map, on_body) => (on_map - pose * on_body).length(),
+                ClosestPoints::Disjoint => space.reach(),
+            }
+        };
+        let fits = |tree: &Compound, pose: Pose2| {
+            let found = DefaultQueryDispatcher.intersection_test(&placed(pose), tree, &body);
+            !found.unwrap().intersecting
+        };
+        let passes = |tree: &Compound, a: Point2<f64>, b: Point2<f64>| {
+            let swept = Capsule::new(vector(a), vector(b), DISC);
+            let found = DefaultQueryDispatcher.intersection_test(&Pose::IDENTITY, tree, &swept);
+            !found.unwrap().intersecting
+        };
+        for (boxes, tree) in &trees {
+            for pose in &poses {
+                let clearance = space.footprint_clearance(*pose);
+                for theirs in [distance(tree, *pose).min(space.reach()), within_reach(tree, *pose)] {
+                    assert!(
+                        (clearance - theirs).abs() < TOLERANCE,
+                        "{name}, {boxes}, {pose:?}: {clearance} m, parry's {theirs} m"
+                    );
+                }
+                assert_eq!(space.is_valid(*pose), fits(tree, *pose), "{name}, {boxes}, {pose:?}");
+            }
+            for (a, b) in &ways {
+                let ours = space.segment_is_free(*a, *b, DISC);
+                assert_eq!(ours, passes(tree, *a, *b), "{name}, {boxes}, {a} to {b}");
+            }
+        }
+
+        let mut group = c.benchmark_group(format!("footprint, clearance at {POSES} poses, {name}"));
+        group.sample_size(20);
+        group.bench_function("rows of bits", |b| {
+            b.iter(|| poses.iter().map(|pose| space.footprint_clearance(*pose)).sum::<f64>());
+        });
+        for (boxes, tree) in &trees {
+            group.bench_function(format!("parry's distance, {boxes}"), |b| {
+                b.iter(|| poses.iter().map(|pose| distance(tree, *pose)).sum::<f64>());
+            });
+            group.bench_function(format!("parry's closest points within reach, {boxes}"), |b| {
+                b.iter(|| poses.iter().map(|pose| within_reach(tree, *pose)).sum::<f64>());
+            });
+        }
+        group.finish();
+
+        let mut group = c.benchmark_group(format!("footprint, fits at {POSES} poses, {name}"));
+        group.sample_size(20);
+        group.bench_function("rows of bits", |b| {
+            b.iter(|| poses.iter().filter(|pose| space.is_valid(**pose)).count());
+        });
+        for (boxes, tree) in &trees {
+            group.bench_function(format!("parry's intersection, {boxes}"), |b| {
+                b.iter(|| poses.iter().filter(|pose| fits(tree, **pose)).count());
+            });
+        }
+        group.finish();
+
+        let mut group = c.benchmark_group(format!("disc, passes on {POSES} ways, {name}"));
+        group.sample_size(20);
+        group.bench_function("rows of bits", |bencher| {
+            bencher.iter(|| ways.iter().filter(|(a, b)| space.segment_is_free(*a, *b, DISC)).count());
+        });
+        for (boxes, tree) in &trees {
+            group.bench_function(format!("parry's intersection of a capsule, {boxes}"), |bencher| {
+                bencher.iter(|| ways.iter().filter(|(a, b)| passes(tree, *a, *b)).count());
+            });
+        }
+        group.finish();
+    }
+}
+
 /// The largest map that is required: offices in a corner of it and the rest open; then offices everywhere.
 fn largest(c: &mut Criterion<ThreadTime>) {
     const SIDE: u32 = 16_384;
@@ -294,5 +462,5 @@ fn update(c: &mut Criterion<ThreadTime>) {
     assert_eq!(back.grid(), mirror.grid(), "the second patch undoes the first");
 }
 
-criterion_group!(name = benches; config = Criterion::default().with_measurement(ThreadTime); targets = distance, update, largest);
+criterion_group!(name = benches; config = Criterion::default().with_measurement(ThreadTime); targets = distance, footprint, update, largest);
 criterion_main!(benches);

@@ -21,7 +21,7 @@ const MOST_THICKENING: f64 = 0.0125;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
     /// The full footprint, with walls as thick as their cells.
-    Roomy,
+    Full,
     /// The footprint shrunk by the excess thickness of walls: for places where it does not fit otherwise.
     Tight,
 }
@@ -78,7 +78,7 @@ impl SpaceCache {
     /// // `map` is the `MapReplica` of a map with cells of 0.05 m.
     /// let (mut cache, robot) = (SpaceCache::default(), Footprint::Radius(0.2));
     /// let mut get = |fit| cache.get(&map, &robot, UnknownPolicy::Blocked, fit);
-    /// assert!(Arc::ptr_eq(&get(Fit::Roomy), &get(Fit::Roomy)), "it is built once");
+    /// assert!(Arc::ptr_eq(&get(Fit::Full), &get(Fit::Full)), "it is built once");
     /// assert!((get(Fit::Tight).radius() - 0.1875).abs() < 1e-9, "12.5 mm less on each side");
     /// ```
     pub fn get(
@@ -89,7 +89,7 @@ impl SpaceCache {
         fit: Fit,
     ) -> Arc<ConfigurationSpace> {
         let footprint = &match fit {
-            Fit::Roomy => footprint.clone(),
+            Fit::Full => footprint.clone(),
             Fit::Tight => footprint.offset(-(THICKENING * map.grid().spec().resolution).min(MOST_THICKENING)),
         };
         let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
@@ -152,7 +152,7 @@ impl SpaceCache {
         cells: impl Iterator<Item = Cell>,
         value: i8,
     ) -> ConfigurationSpace {
-        let space = self.get(map, footprint, unknown, Fit::Roomy);
+        let space = self.get(map, footprint, unknown, Fit::Full);
         let mut grid = map.grid().clone();
         let mut tiles = BTreeSet::new();
         for cell in cells {

@@ -1,6 +1,7 @@
 //! Shape clearance. The distance of discs, moved discs and convex polygons to the nearest occupied square, in closed form.
 //!
-//! Candidates come from bit scans of the rows that the shape can reach; each is measured exactly.
+//! Candidates come from bit scans of the rows that the shape can reach; each is measured exactly. The bits follow the map tile by tile and
+//! need no tree; `cargo bench -p zenav-space --bench space` compares them with parry's tree over the same squares.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::grid::GridSpec;

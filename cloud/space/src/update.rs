@@ -151,7 +151,7 @@ impl ConfigurationSpace {
         }
     }
 
-    /// Applies the differences.
+    /// Brings the space up to date with the grid, which differs from it only there.
     pub(super) fn apply(&mut self, grid: &OccupancyGrid, differences: &[Difference]) {
         if differences.is_empty() {
             return;

@@ -84,7 +84,7 @@ pub enum MappingError {
     /// The stored map to localise in cannot be read.
     #[error("mapping: the map stored in {}: {problem}; mend it, move it away, or store another one", folder.display())]
     StoredMap {
-        /// Its folder.
+        /// Folder that the files are in.
         folder: PathBuf,
         /// What is wrong.
         problem: String,
@@ -92,7 +92,7 @@ pub enum MappingError {
     /// The session of SLAM exists, but cannot be read or set aside.
     #[error("mapping: the session of SLAM in {}: {problem}; mend it or move it away: it is not dropped silently", folder.display())]
     Session {
-        /// Its folder.
+        /// Folder that the files are in.
         folder: PathBuf,
         /// What is wrong.
         problem: String,
@@ -100,7 +100,7 @@ pub enum MappingError {
     /// The stored places and zones cannot be read.
     #[error("{}: {problem}; mend the file or remove it: the places and zones in it are not dropped silently", file.display())]
     Annotations {
-        /// The file.
+        /// The file of places and zones.
         file: PathBuf,
         /// What is wrong with it.
         problem: String,

@@ -57,11 +57,11 @@ impl std::str::FromStr for PoseSource {
 /// Source of the poses, with its settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseSettings {
-    /// The source.
+    /// Who estimates the poses of the scans.
     pub source: PoseSource,
-    /// SLAM.
+    /// Settings, if the source is SLAM.
     pub slam: SlamSettings,
-    /// Localisation.
+    /// Settings, if the source is localisation in a map.
     pub localisation: LocalisationSettings,
 }
 

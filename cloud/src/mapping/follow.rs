@@ -22,7 +22,7 @@ use zenav_protocol::topics::{
     ALIVE_COMPONENT, ANNOTATIONS, LOCALISE, MAP, MAP_INFO, MAP_PATCH, MAPPING_LEADER, STATE, alive_key,
 };
 
-use super::service::{Part, Turn};
+use super::service::{MappingService, Turn};
 use super::succession::{Holds, Silence};
 use super::{MappingError, storage};
 
@@ -45,7 +45,7 @@ const LOOK: Duration = Duration::from_millis(500);
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Follows the leader until shutdown, or until this copy is to lead.
-pub(super) async fn follow(part: &Part, mut followed: Followed) -> Result<Turn, MappingError> {
+pub(super) async fn follow(part: &MappingService, mut followed: Followed) -> Result<Turn, MappingError> {
     let (bus, robot) = (&part.bus, part.config.robot.as_str());
     let chunks = [robot];
     part.leads(false);
@@ -73,7 +73,8 @@ pub(super) async fn follow(part: &Part, mut followed: Followed) -> Result<Turn, 
     // The last term in this service's own folder.
     let mut noted = 0;
     let mut asked = JoinSet::new();
-    let mut called: JoinSet<bool> = JoinSet::new();
+    let mut called: JoinSet<Vacancy> = JoinSet::new();
+    let mut is_told = false;
     loop {
         tokio::select! {
             // All that was heard of the leader before the robot, whose messages decide.
@@ -119,9 +120,17 @@ pub(super) async fn follow(part: &Part, mut followed: Followed) -> Result<Turn, 
             Some(reply) = asked.join_next() => if let Ok(Some(reply)) = reply {
                 followed.replace(&reply);
             },
-            Some(is_there) = called.join_next() => if followed.leader.is_none() && is_there.is_ok_and(|is_there| !is_there) {
-                // A token that nobody stands for, or copies that wait for a robot that is away.
-                return Ok(Turn::Lead(Box::new(followed)));
+            Some(seat) = called.join_next() => if followed.leader.is_none() {
+                match seat {
+                    // A token that nobody stands for, or copies of this service's own map that wait for a robot that is away.
+                    Ok(Vacancy::Open) => return Ok(Turn::Lead(Box::new(followed))),
+                    Ok(Vacancy::Kept) if !std::mem::replace(&mut is_told, true) => tracing::warn!(
+                        robot,
+                        "no mapping service leads, and a copy holds a newer map than this service's folder: that one takes over once it hears \
+                         the robot"
+                    ),
+                    _ => {}
+                }
             },
             _ = look.tick() => {
                 // A patch that the leader has named may be in transit: the whole map is requested only if it does not arrive.
@@ -141,7 +150,8 @@ pub(super) async fn follow(part: &Part, mut followed: Followed) -> Result<Turn, 
                 if let Some(leader) = &followed.leader {
                     book.ask(bus, robot, leader);
                 } else if called.is_empty() {
-                    called.spawn(is_anybody_there(bus.clone(), robot.to_owned()));
+                    let is_newest = storage::is_of_last_leader(robot, part.config.folder.as_deref());
+                    called.spawn(vacancy(bus.clone(), robot.to_owned(), is_newest));
                 }
                 let is_of_another = followed.holds(&part.name) == Holds::Followed;
                 if alive.is_none() && !is_behind && is_of_another && book.is_of(followed.leader.as_ref()) {
@@ -162,11 +172,34 @@ pub(super) async fn follow(part: &Part, mut followed: Followed) -> Result<Turn, 
     }
 }
 
-/// Whether a mapping service answers: one of an older version leads without a beat.
-async fn is_anybody_there(bus: Bus, robot: String) -> bool {
+/// Whether a service that has heard no beat may lead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Vacancy {
+    /// A mapping service answers: one of an older version leads without a beat.
+    Taken,
+    /// Nobody answers, but a copy shows that may hold a newer map: it waits for the robot.
+    Kept,
+    /// Nobody leads, and nobody has a newer map.
+    Open,
+}
+
+/// Looks for others; `is_newest`: whether this service's folder is that of the last leader known there.
+async fn vacancy(bus: Bus, robot: String, is_newest: bool) -> Vacancy {
     let request = LocaliseRequest::default();
     let asked = bus.ask(&LOCALISE, &[&robot], &request, PATIENCE).await;
-    !matches!(asked, Err(AskError::Timeout { .. }))
+    if !matches!(asked, Err(AskError::Timeout { .. })) {
+        return Vacancy::Taken;
+    }
+    if is_newest {
+        return Vacancy::Open;
+    }
+    let copies = bus
+        .list_alive(alive_key(ALIVE_COMPONENT, &[&robot, STANDBY]), PATIENCE)
+        .await;
+    match copies {
+        Ok(copies) if copies.is_empty() => Vacancy::Open,
+        _ => Vacancy::Kept,
+    }
 }
 
 /// The robot's map, from whoever leads.

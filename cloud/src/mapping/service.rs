@@ -33,7 +33,7 @@ pub(super) enum Turn {
 }
 
 /// Shared by leading and following.
-pub(super) struct Part {
+pub(super) struct MappingService {
     pub(super) bus: Bus,
     pub(super) clock: Clock,
     pub(super) config: MappingConfig,
@@ -46,7 +46,7 @@ pub(super) struct Part {
     leads: Arc<AtomicBool>,
 }
 
-impl Part {
+impl MappingService {
     /// Sets what others are told about this service.
     pub(super) fn leads(&self, leads: bool) {
         self.leads.store(leads, Ordering::Relaxed);
@@ -88,7 +88,7 @@ impl Part {
 pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), MappingError> {
     config.settings.check()?;
     let leads = Arc::new(AtomicBool::new(false));
-    let part = Part {
+    let part = MappingService {
         role: bus.expects("its map is loaded, begun or followed"),
         name: Id::unique().to_string(),
         metrics: CopyMetrics::new(&config.robot),

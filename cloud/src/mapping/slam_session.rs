@@ -12,8 +12,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use zenav_mapping::atomic::write_atomically;
-use zenav_mapping::map_file::MapFileError;
+use zenav_mapping::{MapFileError, write_atomically};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_slam::{SessionError, Slam, Snapshot};
@@ -51,7 +50,7 @@ pub(super) struct Head {
 /// How much of `slam.scans` belongs to the last stored session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct OnDisk {
-    /// Scans.
+    /// Number of scans that belong to it.
     pub(super) scans: usize,
     /// Their length, bytes.
     pub(super) bytes: u64,

@@ -1,15 +1,14 @@
 //! Storage. What does a mapping service find in its robot's folder, and who else uses that folder?
 //!
-//! The folder has a lock, the last term of leadership, the robot's own map, and with SLAM its session. What a leader stores there is in
+//! The folder has a lock, the last terms of leadership, the robot's own map, and with SLAM its session. What a leader stores there is in
 //! `lead/session.rs` and `lead/stored_maps.rs`.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read as _, Seek as _, Write as _};
 use std::path::Path;
 
-use zenav_mapping::Mapper;
-use zenav_mapping::atomic::write_atomically;
 use zenav_mapping::store::{self, StoredMap};
+use zenav_mapping::{Mapper, write_atomically};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{MapRef, MappingLeader};
 
@@ -22,6 +21,9 @@ const LOCK: &str = "mapping.lock";
 
 /// File with the last term of leadership that is known, in a robot's folder.
 const TERM: &str = "mapping.term";
+
+/// File with the last term in which a service led with the map that is stored in a robot's folder.
+const LED: &str = "mapping.led";
 
 /// Suffix of a session that cannot be decoded.
 const UNREADABLE: &str = "unreadable";
@@ -94,24 +96,49 @@ pub(super) fn lock(folder: &Path, name: &str) -> Result<Tenancy, MappingError> {
 /// A service begins behind all terms that it knows of, also after a restart: its own leadership must not look like an old one.
 pub(super) fn note_term(robot: &str, folder: Option<&Path>, term: u64) -> u64 {
     let Some(folder) = folder else { return term };
-    let file = folder.join(TERM);
-    let noted = match std::fs::read_to_string(&file) {
+    let noted = noted(robot, folder, TERM);
+    if term > noted {
+        write(robot, folder, TERM, term);
+    }
+    term.max(noted)
+}
+
+/// Notes the term in which a service leads with the map that is stored in a robot's folder.
+pub(super) fn note_leadership(robot: &str, folder: Option<&Path>, term: u64) {
+    note_term(robot, folder, term);
+    if let Some(folder) = folder {
+        write(robot, folder, LED, term);
+    }
+}
+
+/// Whether a robot's folder is that of the last leader that is known there: what is stored in it may be the newest map.
+pub(super) fn is_of_last_leader(robot: &str, folder: Option<&Path>) -> bool {
+    folder.is_some_and(|folder| {
+        let led = noted(robot, folder, LED);
+        led > 0 && led >= noted(robot, folder, TERM)
+    })
+}
+
+/// The term in a file of a robot's folder; 0 if there is none.
+fn noted(robot: &str, folder: &Path, file: &str) -> u64 {
+    let file = folder.join(file);
+    match std::fs::read_to_string(&file) {
         Ok(text) => text.trim().parse().unwrap_or_else(|error| {
             tracing::error!(robot, file = %file.display(), %error, "the last term of leadership cannot be read");
             0
         }),
         Err(_) => 0,
-    };
-    if term <= noted {
-        return noted;
     }
+}
+
+fn write(robot: &str, folder: &Path, file: &str, term: u64) {
+    let file = folder.join(file);
     let written = std::fs::create_dir_all(folder).map_err(|error| error.to_string());
     let written =
         written.and_then(|()| write_atomically(&file, term.to_string().as_bytes()).map_err(|error| error.to_string()));
     if let Err(error) = written {
         tracing::error!(robot, file = %file.display(), %error, "the term of leadership is not stored");
     }
-    term
 }
 
 /// The SLAM session to resume, if there is one. A session that cannot be decoded is set aside for inspection.
@@ -226,7 +253,7 @@ pub(super) async fn begin(config: &MappingConfig) -> Result<Mapper, MappingError
     Ok(empty(config))
 }
 
-/// A new map.
+/// Reference to an empty map with a new id, at revision 0.
 pub(super) fn new_map(robot: &str) -> MapRef {
     MapRef {
         id: new_map_id(robot),

@@ -66,6 +66,13 @@ fn a_term_is_known_after_a_restart_and_never_goes_down() {
     let noted = |term| storage::note_term("tiago", Some(folder.path()), term);
     assert_eq!([noted(0), noted(4), noted(2), noted(0)], [0, 4, 4, 4]);
     assert_eq!(storage::note_term("tiago", None, 3), 3);
+    // A folder from which somebody led goes before a copy's until another one leads.
+    let is_newest = || storage::is_of_last_leader("tiago", Some(folder.path()));
+    assert!(!is_newest());
+    storage::note_leadership("tiago", Some(folder.path()), 50);
+    assert!(is_newest() && noted(0) == 50);
+    noted(51);
+    assert!(!is_newest());
 }
 
 #[test]

@@ -11,9 +11,7 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::{MissionError, Service, Turn, blocking, metrics};
-use zenav_mission::records::Leadership;
-use zenav_mission::standby::{JournalPosition, Verdict, judge, may_lead};
-use zenav_mission::store::StoreError;
+use zenav_mission::{JournalPosition, JournalVerdict, Leadership, StoreError, judge_entry, may_lead};
 
 /// After this much silence of the leader, the standby joins it again.
 const SILENCE: Duration = Duration::from_secs(1);
@@ -52,7 +50,7 @@ pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> 
                     let Ok(Some(state)) = timeout_at(heard, states.next()).await else { break };
                     word = state.message.lease.leader;
                 }
-                let taken = match judge(&entry.body, word.as_ref(), &place) {
+                let taken = match judge_entry(&entry.body, word.as_ref(), &place) {
                     Ok(verdict) => match take(service, &entry.body, verdict).await {
                         Err(error @ StoreError::NoRoom { .. }) => {
                             entry.refuse(&Refusal::internal(&error));
@@ -99,8 +97,8 @@ pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> 
     }
 }
 
-async fn take(service: &mut Service, entry: &JournalEntry, verdict: Verdict) -> Result<(), StoreError> {
-    let Verdict::Take { instead } = verdict else {
+async fn take(service: &mut Service, entry: &JournalEntry, verdict: JournalVerdict) -> Result<(), StoreError> {
+    let JournalVerdict::Take { instead } = verdict else {
         return Ok(());
     };
     let now = service.clock.now();

@@ -18,10 +18,7 @@ use super::standbys::Standbys;
 use super::trace::MissionTrace;
 use super::workers::{Workers, carry};
 use super::{End, MissionError, Service, Turn, blocking};
-use zenav_mission::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
-use zenav_mission::membership::HELD_UP;
-use zenav_mission::orchestrator::Mission;
-use zenav_mission::records::{Leadership, Record};
+use zenav_mission::{Answer, Ask, Client, Effect, Inputs, Leadership, Membership, Mission, NoAnswer, Record, Ticket};
 
 /// Period of the steps.
 const PERIOD: Duration = Duration::from_millis(50);
@@ -266,7 +263,7 @@ impl Shell {
                     return Ok((mission, effects));
                 }
                 () = tokio::time::sleep(BEAT) => {
-                    kept_alive = last.elapsed() < HELD_UP && begun.elapsed() < LONGEST_STEP;
+                    kept_alive = last.elapsed() < Membership::HELD_UP && begun.elapsed() < LONGEST_STEP;
                     if kept_alive {
                         self.pulse.beat_again();
                         *last = Instant::now();
@@ -392,7 +389,7 @@ impl Shell {
                     metrics.write.observe(begun.elapsed().as_secs_f64());
                     return stored;
                 }
-                () = tokio::time::sleep(BEAT) => if begun.elapsed() < HELD_UP {
+                () = tokio::time::sleep(BEAT) => if begun.elapsed() < Membership::HELD_UP {
                     pulse.beat_again();
                 },
             }

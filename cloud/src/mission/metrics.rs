@@ -3,9 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use tokio::time::Instant;
-use zenav_mission::io::Client;
-use zenav_mission::orchestrator::Mission;
-use zenav_mission::records::Record;
+use zenav_mission::{Client, Mission, Record};
 use zenav_observability::metrics::{
     GOAL_ACCEPTANCE, GOALS, GOALS_ENDED, MISSION_LEADS, PLAN_ACCEPTANCE, STORE_WRITE, TREE_TICK, WORKERS,
 };

@@ -39,13 +39,12 @@ use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 pub use workers::Workers;
 
 use requests::{Pending, Requests};
-use zenav_mission::config::MissionConfig;
-use zenav_mission::store::{Store, StoreError};
+use zenav_mission::{MissionConfig, MissionStore, StoreError};
 
 /// Why a mission ended on its own.
 #[derive(Debug, Error)]
 pub enum MissionError {
-    /// Bus error.
+    /// What the bus reports.
     #[error(transparent)]
     Bus(#[from] BusError),
     /// The store failed for good: nothing more can be acknowledged.
@@ -85,7 +84,7 @@ struct Service {
     bus: Bus,
     clock: Clock,
     config: MissionConfig,
-    store: Arc<Store>,
+    store: Arc<MissionStore>,
     requests: Requests,
     /// Where the leader's journal arrives.
     journal: Server<JournalEntry, JournalReply>,

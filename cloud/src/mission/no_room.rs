@@ -8,8 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::time::{MissedTickBehavior, interval, sleep};
-use zenav_mission::config::MissionConfig;
-use zenav_mission::store::{Store, StoreError};
+use zenav_mission::{MissionConfig, MissionStore, StoreError};
 use zenav_protocol::bus::{AliveToken, Bus, BusError, Shutdown};
 use zenav_protocol::messages::{InfoReply, Refusal};
 use zenav_protocol::topics::{MissionReply, MissionRequest};
@@ -21,7 +20,7 @@ use super::{MissionError, Service, Turn, announce, blocking, identity, metrics};
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// An open store, and the mission's requests and token if it already shows itself.
-type Opened = (Arc<Store>, Option<(Requests, AliveToken)>);
+type Opened = (Arc<MissionStore>, Option<(Requests, AliveToken)>);
 
 /// Opens the store once there is room for it; `None` after a shutdown. While it waits, it shows itself and refuses everything. A mission
 /// that waits for nothing does not: its store may be another process's.
@@ -33,7 +32,7 @@ pub(super) async fn open(
     let mut announced: Option<(Requests, AliveToken)> = None;
     loop {
         let (path, robot) = (config.store.clone(), config.robot.to_string());
-        let error = match blocking(move || Store::open(&path, &robot)).await? {
+        let error = match blocking(move || MissionStore::open(&path, &robot)).await? {
             Ok(store) => return Ok(Some((Arc::new(store), announced))),
             Err(error @ StoreError::NoRoom { .. }) => error,
             Err(error) => return Err(error.into()),

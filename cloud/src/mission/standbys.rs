@@ -17,10 +17,7 @@ use zenav_protocol::topics;
 
 use super::replication::{Batch, Replication};
 use super::{End, blocking};
-use zenav_mission::config::MissionConfig;
-use zenav_mission::membership::Membership;
-use zenav_mission::records::Leadership;
-use zenav_mission::store::{Store, StoreError};
+use zenav_mission::{Leadership, Membership, MissionConfig, MissionStore, StoreError};
 
 /// A standby that has not stored a batch within this time is dropped. Well below the TTL of the lease.
 pub(super) const PATIENCE: Duration = Duration::from_millis(400);
@@ -36,7 +33,7 @@ pub(super) struct Standbys {
     bus: Bus,
     robot: String,
     holder: String,
-    store: Arc<Store>,
+    store: Arc<MissionStore>,
     membership: Membership,
     /// The mission's time.
     now: Stamp,
@@ -64,7 +61,7 @@ impl Standbys {
     pub(super) fn new(
         bus: &Bus,
         config: &MissionConfig,
-        store: Arc<Store>,
+        store: Arc<MissionStore>,
         leadership: Leadership,
         incarnation: u64,
     ) -> Self {
@@ -82,7 +79,7 @@ impl Standbys {
     }
 
     /// The leader's own store.
-    pub(super) fn store(&self) -> Arc<Store> {
+    pub(super) fn store(&self) -> Arc<MissionStore> {
         Arc::clone(&self.store)
     }
 

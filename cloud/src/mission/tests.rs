@@ -15,8 +15,7 @@ use zenav_protocol::time::Stamp;
 use super::*;
 use crate::testing;
 use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, Status};
-use zenav_mission::context::Context;
-use zenav_mission::trees;
+use zenav_mission::{Context, trees};
 
 const DEADLINE: Duration = Duration::from_secs(10);
 

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use zenav_mission::io::{Answer, NoAnswer, Ticket};
+use zenav_mission::{Answer, NoAnswer, Ticket};
 use zenav_observability::trace::{self, Context, Span};
 use zenav_protocol::messages::MotionReply;
 

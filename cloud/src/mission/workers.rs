@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use tokio::task::JoinSet;
 use tokio::time::Instant;
-use zenav_mission::io::{Answer, Ask, NoAnswer};
+use zenav_mission::{Answer, Ask, NoAnswer};
 use zenav_observability::metrics::MOTION_ROUND_TRIP;
 use zenav_protocol::bus::{AliveWatch, AskError, Bus, BusError};
 use zenav_protocol::messages::{MotionReply, MotionRequest, Refusal};
@@ -99,7 +99,7 @@ struct Answered {
     reply: Result<MotionReply, AskError>,
 }
 
-/// Asks one worker.
+/// Asks one worker, until the deadline at most; reports the time that it took.
 async fn ask_one(bus: Bus, worker: String, request: Arc<MotionRequest>, deadline: Duration) -> Answered {
     let began = Instant::now();
     let reply = bus.ask(&topics::MOTION_SERVICE, &[&worker], &*request, deadline).await;

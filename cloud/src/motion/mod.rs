@@ -316,22 +316,8 @@ mod tests {
 
     /// From one side of the wall to the other.
     fn question() -> PlanRequest {
-        PlanRequest {
-            robot: "tiago".to_owned(),
-            model: zenav_fixtures::robot("tiago"),
-            map: map().info.map,
-            start: Pose2::new(1.0, 1.0, 0.0),
-            via: Vec::new(),
-            goal: Pose2::new(5.0, 1.0, 0.0),
-            planner: "astar".to_owned(),
-            unknown_is_free: false,
-            cleared: Vec::new(),
-            yield_to: Vec::new(),
-            escape: 0.0,
-            goal_tolerance: 0.0,
-            budget_ms: 5000,
-            seed: 1,
-        }
+        let (start, goal) = (Pose2::new(1.0, 1.0, 0.0), Pose2::new(5.0, 1.0, 0.0));
+        zenav_fixtures::plan_request("tiago", map().info.map, start, goal)
     }
 
     #[tokio::test(flavor = "multi_thread")]

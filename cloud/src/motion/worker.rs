@@ -13,7 +13,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
     MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, Refusal, SmoothReply, SmoothRequest,
-    TrajectoryReply, TrajectoryRequest,
+    TrajectoryReply, TrajectoryRequest, check_backwards,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::trajectory::Trajectory;
@@ -124,8 +124,8 @@ impl MotionWorker {
     /// Answers a request on a copy of the robot's map. `clock` (s) is used for the statistics only.
     ///
     /// # Errors
-    /// [`Refusal::BadRequest`] for numbers that are not finite, too many points, an impossible robot, and an unknown planner;
-    /// [`Refusal::NotFound`] for smoothing without a map.
+    /// [`Refusal::BadRequest`] for numbers that are not finite, too many points, `backwards` that are no legs, an impossible robot, and an
+    /// unknown planner; [`Refusal::NotFound`] for smoothing without a map.
     pub fn answer(
         &mut self,
         map: Option<&MapReplica>,
@@ -267,7 +267,7 @@ impl MotionWorker {
         Ok(reply)
     }
 
-    /// A path between two poses; a tight one if there is no roomy one.
+    /// A path between two poses for the full footprint, or for the shrunk one of tight places if there is none.
     fn leg(
         &mut self,
         map: &MapReplica,
@@ -277,13 +277,13 @@ impl MotionWorker {
         options: &PlanOptions,
         cancel: &Cancel,
     ) -> Result<Planned, Refusal> {
-        let roomy = self.leg_that_fits(Fit::Roomy, map, model, policy, ends, options, cancel)?;
-        if matches!(roomy.outcome, PlanOutcome::Found { .. } | PlanOutcome::TimedOut) {
-            return Ok(roomy);
+        let full = self.leg_that_fits(Fit::Full, map, model, policy, ends, options, cancel)?;
+        if matches!(full.outcome, PlanOutcome::Found { .. } | PlanOutcome::TimedOut) {
+            return Ok(full);
         }
         let tight = self.leg_that_fits(Fit::Tight, map, model, policy, ends, options, cancel)?;
         Ok(Planned {
-            expansions: roomy.expansions + tight.expansions,
+            expansions: full.expansions + tight.expansions,
             ..tight
         })
     }
@@ -356,6 +356,7 @@ impl MotionWorker {
                 "expected finite numbers, at most {MAX_POINTS} points, and at most {MAX_VIA} to stop at"
             )));
         }
+        check_backwards(&request.backwards, request.path.len()).map_err(Refusal::bad_request)?;
         let model = checked(&request.model)?;
         let length: f64 = request.path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
         let (times, bit) = TOO_FAST;
@@ -370,11 +371,11 @@ impl MotionWorker {
                 what: format!("a map of {}", request.robot),
             });
         };
-        let roomy = self.smooth_that_fits(Fit::Roomy, map, given, &model, request);
-        if roomy.trajectory.is_empty() && given.around.is_none() {
+        let full = self.smooth_that_fits(Fit::Full, map, given, &model, request);
+        if full.trajectory.is_empty() && given.around.is_none() {
             return Ok(self.smooth_that_fits(Fit::Tight, map, given, &model, request));
         }
-        Ok(roomy)
+        Ok(full)
     }
 
     fn smooth_that_fits(

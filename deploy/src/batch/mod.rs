@@ -27,7 +27,6 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use indicatif::ProgressBar;
-use zenav_mapping::map_file;
 use zenav_planning::Planner;
 use zenav_protocol::grid::OccupancyGrid;
 
@@ -42,7 +41,7 @@ pub(crate) fn progress(length: usize) -> ProgressBar {
 /// The map; `resolution` applies if its file gives none.
 fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failure> {
     match resolution {
-        Some(resolution) if path.is_file() => map_file::read_map(path, resolution).map_err(Failure::usage),
+        Some(resolution) if path.is_file() => zenav_mapping::read_map(path, resolution).map_err(Failure::usage),
         _ => files::map(path),
     }
 }

@@ -77,11 +77,11 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     let grid = read_map(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
     let zones = files::zones(args.zones.as_deref())?;
-    let ground = Ground::of(&grid, args.robot.as_deref(), args.unknown_is_free, &zones)?;
+    let space = PlanningSpace::of(&grid, args.robot.as_deref(), args.unknown_is_free, &zones)?;
     let spec = *grid.spec();
     let ends: Vec<Option<Ends>> = queries.iter().map(|query| ends(query, &grid)).collect();
     drop(grid);
-    let mut searcher = Searcher::new(ground.free()).map_err(Failure::usage_at(&args.map))?;
+    let mut searcher = Searcher::new(space.free()).map_err(Failure::usage_at(&args.map))?;
     let watchdog = args.time_limit_ms.and_then(Watchdog::of_millis);
     if watchdog.is_some() {
         searcher.sampling.improving = MOST_SAMPLES;
@@ -94,7 +94,7 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     };
     let bar = progress(queries.len());
     for (number, (query, ends)) in queries.iter().zip(ends).enumerate() {
-        let answer = answer(&mut searcher, &ground, args, &spec, query, watchdog.as_ref());
+        let answer = answer(&mut searcher, &space, args, &spec, query, watchdog.as_ref());
         let (length, found) = answer.found.as_ref().map_or((-1.0, 0), |found| (found.length, 1));
         tally.add(number, query, ends, &answer);
         results.line(format_args!(
@@ -122,12 +122,12 @@ pub fn plan(args: &PlanArgs) -> Outcome {
 }
 
 /// Space in which a point, or a robot, is planned.
-enum Ground {
+enum PlanningSpace {
     Point { free: BitGrid, sight: PointLineOfSight },
     Robot(Box<ConfigurationSpace>),
 }
 
-impl Ground {
+impl PlanningSpace {
     fn of(
         grid: &OccupancyGrid,
         robot: Option<&str>,
@@ -188,7 +188,7 @@ struct Answer {
 
 fn answer(
     searcher: &mut Searcher,
-    ground: &Ground,
+    space: &PlanningSpace,
     args: &PlanArgs,
     spec: &GridSpec,
     query: &Query,
@@ -208,7 +208,7 @@ fn answer(
         seed: args.seed,
     };
     let (searched, micros) = timed(watchdog, |budget| {
-        ground.search(searcher, args.planner, &question, budget)
+        space.search(searcher, args.planner, &question, budget)
     });
     Answer {
         micros,

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use zenav_mapping::moving_ai;
+use zenav_mapping::{cell_from_top, parse_moving_ai_scenarios};
 use zenav_protocol::grid::{Cell, GridSpec};
 
 use crate::failure::Failure;
@@ -23,7 +23,7 @@ pub(super) struct Query {
 impl Query {
     /// Start and goal as grid cells; `None` if one is outside.
     pub(super) fn cells(&self, spec: &GridSpec) -> Option<(Cell, Cell)> {
-        let cell = |[x, y]: [i64; 2]| moving_ai::cell_from_top(spec, [u32::try_from(x).ok()?, u32::try_from(y).ok()?]);
+        let cell = |[x, y]: [i64; 2]| cell_from_top(spec, [u32::try_from(x).ok()?, u32::try_from(y).ok()?]);
         Some((cell(self.start)?, cell(self.goal)?))
     }
 }
@@ -36,7 +36,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Query>, Failure> {
     let text = files::text(path)?;
     let bad = |error: &dyn std::fmt::Display| Failure::usage(format!("{}: {error}", path.display()));
     if path.extension().is_some_and(|ending| ending == "scen") || text.starts_with("version") {
-        let scenarios = moving_ai::parse_scenarios(text.as_bytes()).map_err(|error| bad(&error))?;
+        let scenarios = parse_moving_ai_scenarios(text.as_bytes()).map_err(|error| bad(&error))?;
         let wide = |[x, y]: [u32; 2]| [i64::from(x), i64::from(y)];
         return Ok(scenarios
             .into_iter()

@@ -109,7 +109,9 @@ impl Layers {
         path: Option<&Path>,
         variables: impl Iterator<Item = (String, String)>,
     ) -> Result<Self, Failure> {
-        let mut table = Table::try_from(Deployment::default()).map_err(Failure::failed)?;
+        // By way of the text: a conversion into tables, or from them, would be compiled for every section once more.
+        let defaults = toml::to_string(&Deployment::default()).map_err(Failure::failed)?;
+        let mut table: Table = toml::from_str(&defaults).map_err(Failure::failed)?;
         let mut file = None;
         if let Some(path) = path {
             if !path.is_file() {
@@ -142,8 +144,12 @@ impl Layers {
             }
             environment.insert(key, variable);
         }
-        let deployment: Deployment = table.try_into().map_err(|error: toml::de::Error| {
+        // By way of the text again.
+        let text = toml::to_string(&table).map_err(Failure::failed)?;
+        let deployment: Deployment = toml::from_str(&text).map_err(|mut error: toml::de::Error| {
             let variables: Vec<&str> = environment.values().map(String::as_str).collect();
+            // Nobody wrote this text: the error names the key instead of the line.
+            error.set_input(None);
             Failure::usage(format!("{}: {}", variables.join(", "), told(&error)))
         })?;
         let layers = Self {

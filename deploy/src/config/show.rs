@@ -74,7 +74,9 @@ pub fn run(args: &ConfigArgs) -> Outcome {
 }
 
 fn origins(layers: &Layers) -> Result<Vec<Origin>, Failure> {
-    let values = serde_json::to_value(&layers.deployment).map_err(Failure::failed)?;
+    // By way of the text: a conversion into values would be compiled for every section once more.
+    let text = serde_json::to_string(&layers.deployment).map_err(Failure::failed)?;
+    let values: Value = serde_json::from_str(&text).map_err(Failure::failed)?;
     let resolved = layers.resolved();
     let mut origins = Vec::new();
     let mut push = |row: Row, value: Option<Value>| {

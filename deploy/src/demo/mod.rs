@@ -28,7 +28,7 @@ use std::time::{Duration, Instant};
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 use zenav_cloud::mapping::PoseSource;
-use zenav_mapping::map_file;
+use zenav_mapping::write_map;
 use zenav_planning::Planner;
 use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, Security, interrupted};
 use zenav_protocol::geometry::Pose2;
@@ -48,8 +48,9 @@ use crate::health::HealthArgs;
 use crate::launch::{KnownMapArgs, PoseArgs, runtime};
 use crate::live_map::LiveMap;
 use crate::lockstep::true_map;
-use crate::output::{Format, spinner, value};
+use crate::output::{Format, pretty, spinner, value};
 use crate::report::{DemoReport, ScenarioOutcome};
+use crate::tasks;
 use album::Album;
 use recorded::{Played, Recorder};
 use refusals::Impossible;
@@ -213,10 +214,10 @@ pub fn run(args: &DemoArgs) -> Outcome {
     let folder = args.folder();
     std::fs::create_dir_all(&folder).map_err(Failure::failed_at(&folder))?;
     args.film.as_deref().map_or(Ok(()), files::writable)?;
-    let Played { mut report, kept } = runtime()?.block_on(scenario(args))?;
+    let Played { mut report, kept } = tasks::block_on(&runtime()?, scenario(args))?;
     let file = folder.join("report.json");
     report.files.insert(0, file.clone());
-    let text = serde_json::to_string_pretty(&report).map_err(Failure::failed)?;
+    let text = pretty(&report)?;
     let written = files::write(&file, text + "\n");
     value(args.output, &report, DemoReport::text)?;
     // The report is printed even if a file could not be written.
@@ -315,7 +316,7 @@ async fn scenario(args: &DemoArgs) -> Result<Played, Failure> {
         let mut deployment = deployment;
         if script.poses == PoseSource::Localise && !is_mapped {
             let map = true_map(&world, deployment.mapping.settings.resolution)?;
-            let file = map_file::write_map(&state, "known", &map, "the true map").map_err(Failure::failed)?;
+            let file = write_map(&state, "known", &map, "the true map").map_err(Failure::failed)?;
             deployment.mapping.run.map = Some(file);
         }
         let mut parts = Parts::default();

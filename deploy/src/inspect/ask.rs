@@ -4,7 +4,6 @@
 use std::io::Read as _;
 use std::time::Duration;
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use zenav_protocol::bus::{Act, AskError, Bus, RawReply, RawSample};
@@ -12,6 +11,7 @@ use zenav_protocol::messages::Refusal;
 use zenav_protocol::topics::{self, Ask, Producer, Row, TABLE, TableVisitor, Topic};
 
 use super::payload;
+use super::unknown_field::unknown_field;
 use crate::completion;
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
@@ -104,7 +104,7 @@ pub fn ask(args: &AskArgs) -> Outcome {
         let value = payload::value(&sample);
         output::value(args.output, &value, |value| match value {
             Value::String(text) => text.clone(),
-            value => serde_json::to_string_pretty(value).unwrap_or_default(),
+            value => output::pretty(value).unwrap_or_default(),
         })
     })
 }
@@ -358,9 +358,11 @@ struct Checker<'a> {
 }
 
 impl Checker<'_> {
-    fn read<T: DeserializeOwned + Serialize>(&mut self, pattern: &str, name: &str) {
+    /// Decodes with the bus's own parser: another one would be compiled for every type.
+    fn read<T: DeserializeOwned>(&mut self, pattern: &str, name: &str) {
         if pattern == self.pattern {
-            self.found = Some(fits::<T>(self.text, name));
+            let read = serde_json::from_slice::<T>(self.text.as_bytes());
+            self.found = Some(fits(read.map(drop), self.text, name));
         }
     }
 }
@@ -375,18 +377,16 @@ impl TableVisitor for Checker<'_> {
     }
 }
 
-/// Checks that a text parses as this type and has no unknown fields.
-fn fits<T: DeserializeOwned>(text: &str, name: &str) -> Result<(), Failure> {
+/// Checks that a text was read as the type of this name, and that it has no unknown fields.
+fn fits(read: serde_json::Result<()>, text: &str, name: &str) -> Result<(), Failure> {
     let hint = format!("`zenav schema {name}` shows what may stand there");
-    let mut unknown = Vec::new();
-    let mut reader = serde_json::Deserializer::from_str(text);
-    let read: Result<T, _> = serde_ignored::deserialize(&mut reader, |path| unknown.push(path.to_string()));
-    read.and_then(|_| reader.end())
+    let value: Value = read
+        .and_then(|()| serde_json::from_str(text))
         .map_err(|error| Failure::usage(format!("not a {name}: {error}; {hint}")))?;
-    match unknown.first() {
+    match super::schema::json_schema(name).and_then(|schema| unknown_field(&schema, &value)) {
         None => Ok(()),
         Some(field) => {
-            let last = field.rsplit('.').next().unwrap_or(field);
+            let last = field.rsplit('.').next().unwrap_or(&field);
             let known = super::schema::fields(name);
             let perhaps = output::perhaps(last, known.iter().map(String::as_str), SLIPS);
             Err(Failure::usage(format!(
@@ -436,6 +436,10 @@ mod tests {
             (
                 r#"{"x": 1, "y": 2, "tolerence": 0.5}"#,
                 "no field `tolerence`, perhaps `tolerance`",
+            ),
+            (
+                r#"{"waypoints": [{"x": 1, "y": 2, "tolerence": 3}]}"#,
+                "no field `waypoints.0.tolerence`, perhaps `tolerance`",
             ),
             (r#"{"x": "one"}"#, "not a GoalRequest: invalid type"),
             ("{", "not a GoalRequest: EOF"),

@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use zenav_mapping::carmen::{self, LOG_BEAMS};
-use zenav_mapping::{InsertMode, build as maps, map_file};
+use zenav_mapping::{Agreement, BuiltMap, InsertMode, agreement, build_map, write_map};
 use zenav_protocol::messages::Scan;
 
 use crate::batch::thread_time;
@@ -69,26 +69,26 @@ struct Built {
 /// Builds a map from a log.
 pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
     let (scans, _) = read_log(&args.log)?;
-    let build = |mode| maps::build_map(&scans, args.resolution, mode, &LOG_BEAMS).map_err(Failure::usage_at(&args.log));
+    let build = |mode| build_map(&scans, args.resolution, mode, &LOG_BEAMS).map_err(Failure::usage_at(&args.log));
     let mode = match args.mode {
         BuildMode::Reference => InsertMode::Reference,
         BuildMode::Fast => InsertMode::Fast,
     };
     // Only inserting the scans is timed: not reading the log, not comparing and writing the map.
     let (wall, thread) = (Instant::now(), thread_time());
-    let maps::Built { map, beams } = build(mode)?;
+    let BuiltMap { map, beams } = build(mode)?;
     let rate = |took: Duration| scans.len() as f64 / took.as_secs_f64().max(1e-9);
     let (wall, thread) = (wall.elapsed(), thread_time().saturating_sub(thread));
     let (counts, grid) = (map.counts(), map.to_occupancy());
     drop(map);
     let agreement = match mode {
-        InsertMode::Reference => maps::Agreement {
+        InsertMode::Reference => Agreement {
             occupied: 1.0,
             free: 1.0,
         },
-        InsertMode::Fast => maps::agreement(&build(InsertMode::Reference)?.map.to_occupancy(), &grid),
+        InsertMode::Fast => agreement(&build(InsertMode::Reference)?.map.to_occupancy(), &grid),
     };
-    let map = map_file::write_map(&args.out, "map", &grid, "built from a log").map_err(Failure::failed)?;
+    let map = write_map(&args.out, "map", &grid, "built from a log").map_err(Failure::failed)?;
     let built = Built {
         scans: scans.len() as u64,
         scans_per_s: rate(thread),

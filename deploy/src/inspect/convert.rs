@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use zenav_mapping::map_yaml::MapMode;
-use zenav_mapping::{image, map_file, map_image};
+use zenav_mapping::map_image::{self, MapMode};
+use zenav_mapping::read_map;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 
 use super::map::Summary;
@@ -43,9 +43,7 @@ enum ModeArg {
 /// Converts a map file.
 pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
     let grid = match args.resolution {
-        Some(resolution) if args.input.is_file() => {
-            map_file::read_map(&args.input, resolution).map_err(Failure::usage)?
-        }
+        Some(resolution) if args.input.is_file() => read_map(&args.input, resolution).map_err(Failure::usage)?,
         _ => files::map(&args.input)?,
     };
     let mode = match args.mode {
@@ -78,9 +76,9 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
     if let Some(picture) = picture {
         let pixels = map_image::to_image(&grid, mode);
         let bytes = if files::ending(&picture) == "png" {
-            image::encode_png(&pixels).map_err(Failure::failed)?
+            map_image::encode_png(&pixels).map_err(Failure::failed)?
         } else {
-            image::encode_pgm(&pixels)
+            map_image::encode_pgm(&pixels)
         };
         let name = picture.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if picture == target {
@@ -135,7 +133,7 @@ mod tests {
     #[test]
     fn a_map_survives_conversion_and_back() {
         let folder = tempfile::tempdir().unwrap();
-        map_file::write_map(folder.path(), "a", &grid(), "test").unwrap();
+        zenav_mapping::write_map(folder.path(), "a", &grid(), "test").unwrap();
         for (target, mode) in [
             ("b.png", ModeArg::Trinary),
             ("c.png", ModeArg::Scale),

@@ -5,14 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use zenav_protocol::SCHEMA_VERSION;
 
 use super::check::Check;
-use super::parts::Part;
+use super::parts::PartStatus;
 
 /// Largest clock offset of a host; beyond it, log times mislead, s.
 const CLOCK: f64 = 1.0;
 
 /// Judges every host from its parts' reports: message versions and clock.
-pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
-    let mut hosts: BTreeMap<&str, Vec<&Part>> = BTreeMap::new();
+pub(super) fn judge(parts: &[PartStatus]) -> Vec<Check> {
+    let mut hosts: BTreeMap<&str, Vec<&PartStatus>> = BTreeMap::new();
     for part in parts.iter().filter(|part| !part.host.is_empty()) {
         hosts.entry(&part.host).or_default().push(part);
     }
@@ -53,7 +53,7 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
 }
 
 /// Several mapping services of one robot: one leads, and the others stand by.
-fn mapper_copies(parts: &[Part]) -> Vec<Check> {
+fn mapper_copies(parts: &[PartStatus]) -> Vec<Check> {
     let mut mappers: BTreeMap<&str, BTreeMap<(&str, u32, u32), bool>> = BTreeMap::new();
     for part in parts.iter().filter(|part| part.component == "mapping") {
         let process = (part.host.as_str(), part.pid, part.instance);
@@ -99,8 +99,8 @@ mod tests {
     use super::super::check::Verdict;
     use super::*;
 
-    fn part(host: &str, pid: u32, schema: u32, clock_ahead_secs: f64) -> Part {
-        Part {
+    fn part(host: &str, pid: u32, schema: u32, clock_ahead_secs: f64) -> PartStatus {
+        PartStatus {
             part: "mapping-a".to_owned(),
             component: "mapping".to_owned(),
             robot: "a".to_owned(),
@@ -125,12 +125,12 @@ mod tests {
         let parts = [
             part("cloud", 1, SCHEMA_VERSION, 0.05),
             part("cloud", 1, SCHEMA_VERSION, 0.05),
-            Part {
+            PartStatus {
                 robot: "b".to_owned(),
                 ..part("site", 2, SCHEMA_VERSION + 1, 3600.0)
             },
             // An old version that does not report its host.
-            Part {
+            PartStatus {
                 robot: "c".to_owned(),
                 ..part("", 0, SCHEMA_VERSION, 0.0)
             },
@@ -151,7 +151,7 @@ mod tests {
     #[test]
     fn of_several_mapping_services_of_one_robot_one_leads_and_two_that_do_fail_and_are_named() {
         let one = part("cloud", 1, SCHEMA_VERSION, 0.0);
-        let verdicts = |parts: &[Part]| judge(parts).iter().map(|check| check.verdict).collect::<Vec<_>>();
+        let verdicts = |parts: &[PartStatus]| judge(parts).iter().map(|check| check.verdict).collect::<Vec<_>>();
         assert_eq!(verdicts(&[one.clone(), one.clone()]), [Verdict::Ok], "one, heard twice");
         let checks = judge(&[one, part("cloud", 2, SCHEMA_VERSION, 0.0)]);
         assert_eq!(
@@ -159,7 +159,7 @@ mod tests {
             "2 mapping services write its map: cloud (pid 1), cloud (pid 2)"
         );
         assert_eq!((checks[0].about.as_str(), checks[0].verdict), ("a", Verdict::Fail));
-        let copy = |leads| Part {
+        let copy = |leads| PartStatus {
             leads: Some(leads),
             ..part("site", 2, SCHEMA_VERSION, 0.0)
         };
@@ -168,7 +168,7 @@ mod tests {
             (checks[0].seen.as_str(), checks[0].verdict),
             ("cloud (pid 1) leads; site (pid 2) stands by", Verdict::Ok)
         );
-        let none = Part { pid: 3, ..copy(false) };
+        let none = PartStatus { pid: 3, ..copy(false) };
         assert_eq!(judge(&[copy(false), none])[0].verdict, Verdict::Warn);
     }
 }

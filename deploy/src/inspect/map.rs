@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Serialize;
-use zenav_mapping::{CellCounts, map_file};
+use zenav_mapping::{CellCounts, write_map};
 use zenav_protocol::bus::Bus;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
@@ -224,7 +224,7 @@ fn save(robot: &RobotArgs, format: Format, name: &Path) -> Outcome {
             .filter(|folder| !folder.as_os_str().is_empty())
             .unwrap_or_else(|| Path::new("."));
         let wanted = folder.join(format!("{stem}.yaml"));
-        summary.file = Some(map_file::write_map(folder, stem, &grid, &label).map_err(files::unwritten(&wanted))?);
+        summary.file = Some(write_map(folder, stem, &grid, &label).map_err(files::unwritten(&wanted))?);
         output::value(format, &summary, Summary::line)
     })
 }

@@ -3,7 +3,7 @@
 //! | file | answers |
 //! |---|---|
 //! | `topic`, `listen`, `meter`, `payload` | which messages, how often and how large, are on which keys? |
-//! | `ask`, `schema` | requests and messages typed by hand, and their schemas |
+//! | `ask`, `schema`, `unknown_field` | requests and messages typed by hand, and their schemas |
 //! | `map`, `convert`, `build` | maps: save, show, watch, convert, build from logs |
 //! | `map_control` | which map does a robot drive by? load, store, hold |
 //! | `bt` | behaviour trees: validate, draw, watch, simulate |
@@ -29,6 +29,7 @@ mod payload;
 mod ps;
 mod schema;
 mod topic;
+mod unknown_field;
 
 pub use ask::{AskArgs, ask};
 pub use bt::{BtArgs, bt};

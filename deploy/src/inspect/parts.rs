@@ -24,7 +24,7 @@ pub(super) const NOT_ADMITTED: &str = "it was revoked (`zenav keys list`), or th
 
 /// A part of a deployment.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(super) struct Part {
+pub(super) struct PartStatus {
     /// Name of its session.
     pub(super) part: String,
     /// `edge`, `mapping`, `motion`, `mission`, …
@@ -66,7 +66,7 @@ struct Told {
 ///
 /// # Errors
 /// When the bus is closed.
-pub(super) async fn parts(bus: &Bus) -> Result<Vec<Part>, Failure> {
+pub(super) async fn parts(bus: &Bus) -> Result<Vec<PartStatus>, Failure> {
     let before = all(bus).await?;
     tokio::time::sleep(LOAD_OVER).await;
     let after = all(bus).await?;
@@ -98,7 +98,7 @@ fn now() -> f64 {
 
 /// One row per part, sorted by host; `before` are the earlier answers, `alive` the components of each robot that show. A part of an older
 /// version does not report its process.
-fn joined(before: &[Told], mut after: Vec<Told>, alive: &BTreeMap<String, BTreeSet<String>>) -> Vec<Part> {
+fn joined(before: &[Told], mut after: Vec<Told>, alive: &BTreeMap<String, BTreeSet<String>>) -> Vec<PartStatus> {
     let mut silent = Vec::new();
     for (robot, component) in alive
         .iter()
@@ -111,10 +111,10 @@ fn joined(before: &[Told], mut after: Vec<Told>, alive: &BTreeMap<String, BTreeS
         let answers = after.len();
         after.extend(before.iter().filter(is_its).cloned());
         if after.len() == answers {
-            silent.push(Part {
+            silent.push(PartStatus {
                 component: component.clone(),
                 robot: robot.clone(),
-                ..Part::default()
+                ..PartStatus::default()
             });
         }
     }
@@ -123,7 +123,7 @@ fn joined(before: &[Told], mut after: Vec<Told>, alive: &BTreeMap<String, BTreeS
         .filter_map(|told| told.info.process.as_ref())
         .map(|process| (identity(process), process))
         .collect();
-    let mut parts: Vec<Part> = after
+    let mut parts: Vec<PartStatus> = after
         .into_iter()
         .map(|Told { info, between }| {
             let has_copies = matches!(info.component.as_str(), "mission" | "mapping");
@@ -135,7 +135,7 @@ fn joined(before: &[Told], mut after: Vec<Told>, alive: &BTreeMap<String, BTreeS
                 (seconds > 0.0).then(|| ((process.cpu_secs - then.cpu_secs) / seconds).max(0.0))
             });
             let middle = f64::midpoint(between[0], between[1]);
-            Part {
+            PartStatus {
                 part: process.part,
                 component: info.component,
                 robot: info.robot,
@@ -161,7 +161,7 @@ fn joined(before: &[Told], mut after: Vec<Told>, alive: &BTreeMap<String, BTreeS
 }
 
 /// Whether edges answer, and nothing else does: the endpoint is a robot's own, or nothing but robots runs.
-pub(super) fn only_robots_answer(parts: &[Part]) -> bool {
+pub(super) fn only_robots_answer(parts: &[PartStatus]) -> bool {
     let mut answering = parts.iter().filter(|part| part.answers).peekable();
     answering.peek().is_some() && answering.all(|part| part.component == "edge")
 }
@@ -197,7 +197,7 @@ fn identity(process: &ProcessInfo) -> (&str, u32, u32) {
     (process.host.as_str(), process.pid, process.instance)
 }
 
-impl Part {
+impl PartStatus {
     /// Whether the offset of its host's clock certainly exceeds `secs`.
     pub(super) fn clock_is_off(&self, secs: f64) -> bool {
         !self.host.is_empty() && self.clock_ahead_secs.abs() > self.clock_uncertainty_secs + secs
@@ -294,10 +294,10 @@ pub(super) mod tests {
 
     #[test]
     fn a_robot_s_own_endpoint_is_known_by_who_answers_there() {
-        let part = |component: &str, answers| Part {
+        let part = |component: &str, answers| PartStatus {
             component: component.to_owned(),
             answers,
-            ..Part::default()
+            ..PartStatus::default()
         };
         let robot = [part("edge", true), part("mission", false)];
         assert!(only_robots_answer(&robot));

@@ -1,6 +1,6 @@
 //! `zenav ps`. Which parts run, on which hosts, in which version, with which load.
 
-use super::parts::{Part, check_admitted, parts};
+use super::parts::{PartStatus, check_admitted, parts};
 use crate::connect::{self, LinkArgs};
 use crate::failure::Outcome;
 use crate::output::{self, Format};
@@ -28,7 +28,7 @@ pub fn ps(args: &PsArgs) -> Outcome {
     output::values(args.output, &parts, table)
 }
 
-fn table(parts: &[Part]) -> String {
+fn table(parts: &[PartStatus]) -> String {
     let header = [
         "host", "pid", "part", "role", "robot", "version", "schema", "up", "load", "memory", "clock",
     ];
@@ -37,13 +37,14 @@ fn table(parts: &[Part]) -> String {
 }
 
 /// Whether another copy of this part also means to lead: the robot, which decides, has not been heard yet.
-fn is_contested(part: &Part, parts: &[Part]) -> bool {
-    let is_rival =
-        |other: &&Part| other.leads == Some(true) && (&other.component, &other.robot) == (&part.component, &part.robot);
+fn is_contested(part: &PartStatus, parts: &[PartStatus]) -> bool {
+    let is_rival = |other: &&PartStatus| {
+        other.leads == Some(true) && (&other.component, &other.robot) == (&part.component, &part.robot)
+    };
     part.leads == Some(true) && parts.iter().filter(is_rival).count() > 1
 }
 
-fn row(part: &Part, is_contested: bool) -> [String; 11] {
+fn row(part: &PartStatus, is_contested: bool) -> [String; 11] {
     let or_dash = |text: &str| if text.is_empty() { "-" } else { text }.to_owned();
     let role = match part.leads {
         _ if !part.answers => format!("{}, no answer", part.component),
@@ -91,14 +92,14 @@ fn age(secs: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{Part, age, is_contested, row};
+    use super::{PartStatus, age, is_contested, row};
 
     #[test]
     fn a_part_that_did_not_answer_and_one_without_room_say_so() {
-        let mut part = Part {
+        let mut part = PartStatus {
             component: "mission".to_owned(),
             robot: "a".to_owned(),
-            ..Part::default()
+            ..PartStatus::default()
         };
         assert_eq!(row(&part, false).join(" "), "- - - mission, no answer a - - - - - -");
         part.answers = true;
@@ -109,15 +110,15 @@ mod tests {
 
     #[test]
     fn of_two_missions_that_mean_to_lead_one_robot_neither_is_said_to_lead() {
-        let mission = |robot: &str, leads| Part {
+        let mission = |robot: &str, leads| PartStatus {
             component: "mission".to_owned(),
             robot: robot.to_owned(),
             answers: true,
             leads: Some(leads),
-            ..Part::default()
+            ..PartStatus::default()
         };
-        let roles = |parts: &[Part]| -> Vec<String> {
-            let role = |part: &Part| row(part, is_contested(part, parts))[3].clone();
+        let roles = |parts: &[PartStatus]| -> Vec<String> {
+            let role = |part: &PartStatus| row(part, is_contested(part, parts))[3].clone();
             parts.iter().map(role).collect()
         };
         assert_eq!(

@@ -13,6 +13,7 @@ use zenav_protocol::topics::{self, Ask, MESSAGE_SCHEMA, Message, TableVisitor, T
 use crate::completion;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
+use crate::tasks;
 
 /// Schemas of messages.
 #[derive(Debug, clap::Args)]
@@ -80,7 +81,7 @@ pub(crate) fn json_schema(message: &str) -> Option<Value> {
 /// [`BusError::Closed`].
 pub(crate) fn serve_schemas(bus: &Bus) -> Result<(), BusError> {
     let mut server = bus.serve(&MESSAGE_SCHEMA, &["*"])?;
-    tokio::spawn(async move {
+    tasks::spawn(async move {
         while let Some(request) = server.next().await {
             let message = request.chunks.concat();
             match json_schema(&message) {
@@ -163,7 +164,7 @@ pub fn schema(args: &SchemaArgs) -> Outcome {
     };
     let schema = (described.schema)();
     output::value(args.output, &schema, |schema| {
-        serde_json::to_string_pretty(schema).unwrap_or_default()
+        output::pretty(schema).unwrap_or_default()
     })
 }
 

@@ -258,7 +258,7 @@ fn private_folder(path: &Path) -> Result<(), Failure> {
 
 /// Writes a file atomically.
 fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    zenav_mapping::atomic::write_atomically(path, text.as_bytes()).map_err(Failure::failed)
+    zenav_mapping::write_atomically(path, text.as_bytes()).map_err(Failure::failed)
 }
 
 /// Writes a new file atomically that only its owner may read; an existing file is an error.

@@ -22,7 +22,6 @@ use zenav_protocol::messages::{
     MapRequest, MotionRequest, Plan, Refusal, Scan,
 };
 use zenav_protocol::readings::Readings;
-use zenav_protocol::sensors::DEFAULT_LIDAR;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{Simulation, Truth};
@@ -304,7 +303,10 @@ impl RobotLoop {
                 Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
                 Up::Publication(Publication::Yield(yields)) => self.inputs.yields = Some(yields),
                 Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
-                Up::Publication(Publication::Scan(lidar, scan)) => self.map(now, &lidar, &scan),
+                Up::Publication(Publication::Scan(None, scan)) => self.map(now, &scan),
+                Up::Publication(Publication::Scan(Some(_), scan)) => {
+                    self.mapping.insert_further(&scan, BOOT);
+                }
                 Up::Publication(_) => {}
             }
         }
@@ -318,20 +320,17 @@ impl RobotLoop {
         }
     }
 
-    fn map(&mut self, now: Stamp, lidar: &str, scan: &Scan) {
-        if lidar == DEFAULT_LIDAR {
-            let mapped = self.mapping.insert(scan, BOOT);
-            if mapped.frame.is_some() {
-                self.inputs.map_frame = mapped.frame;
-            }
-            if let Some(correction) = mapped.correction {
-                self.down.send(now, Down::Correction(correction));
-            }
-            if let Some(localisation) = mapped.localisation {
-                self.localised(now, localisation);
-            }
-        } else {
-            self.mapping.insert_further(scan, BOOT);
+    /// Draws a scan of the main lidar, and passes on the poses that follow from it.
+    fn map(&mut self, now: Stamp, scan: &Scan) {
+        let mapped = self.mapping.insert(scan, BOOT);
+        if mapped.frame.is_some() {
+            self.inputs.map_frame = mapped.frame;
+        }
+        if let Some(correction) = mapped.correction {
+            self.down.send(now, Down::Correction(correction));
+        }
+        if let Some(localisation) = mapped.localisation {
+            self.localised(now, localisation);
         }
     }
 

@@ -7,7 +7,7 @@ use clap::Args;
 use nalgebra::Point2;
 use serde::Serialize;
 use zenav_cloud::mapping::PoseSource;
-use zenav_mission::goal_validation::TOLERANCE;
+use zenav_mission::GOAL_TOLERANCE;
 use zenav_protocol::config_text::Number;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
@@ -242,11 +242,11 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
             "--poses localise: expected --known-map, the map to localise in",
         ));
     }
-    if let Some(tolerance) = args.tolerance.filter(|tolerance| !TOLERANCE.contains(tolerance)) {
+    if let Some(tolerance) = args.tolerance.filter(|tolerance| !GOAL_TOLERANCE.contains(tolerance)) {
         return Err(Failure::usage(format!(
             "--tolerance {tolerance}: expected {} to {} m",
-            TOLERANCE.start(),
-            TOLERANCE.end()
+            GOAL_TOLERANCE.start(),
+            GOAL_TOLERANCE.end()
         )));
     }
     let mut starts = args.start.chunks_exact(3);

@@ -12,7 +12,6 @@ use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{Annotations, MapRef, SimClock};
 use zenav_protocol::readings::KindReading;
-use zenav_protocol::sensors::DEFAULT_LIDAR;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{self, EdgeReply, Topic};
 
@@ -100,8 +99,10 @@ impl Recorder {
         let robot = &[name];
         for publication in &outbox.publications {
             match publication {
-                Publication::Scan(lidar, message) if lidar == DEFAULT_LIDAR => self.put(&topics::SCAN, robot, message),
-                Publication::Scan(lidar, message) => self.put(&topics::LIDAR_SCAN, &[name, lidar.as_str()], message),
+                Publication::Scan(None, message) => self.put(&topics::SCAN, robot, message),
+                Publication::Scan(Some(lidar), message) => {
+                    self.put(&topics::LIDAR_SCAN, &[name, lidar.as_str()], message)
+                }
                 Publication::Odometry(message) => self.put(&topics::ODOMETRY, robot, message),
                 Publication::Imu(message) => self.put(&topics::IMU, robot, message),
                 Publication::Sensor(reading) => put_reading(self, robot, reading),
@@ -184,7 +185,9 @@ zenav_protocol::sensor_kinds!(reading []);
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
+    use zenav_cloud::mapping::PoseSource;
     use zenav_protocol::messages::GoalPhase;
+    use zenav_protocol::robot;
     use zenav_sim::World;
 
     use super::*;
@@ -270,6 +273,65 @@ mod tests {
         assert_eq!(goal, Some(GoalPhase::Succeeded));
         write_report(&files[0], &folder.path().join("report.html")).unwrap();
         assert!(Recorder::create(&files[0], String::new()).is_err(), "it exists");
+    }
+
+    /// Drives and records it: end, time and way of the run, and how many messages the record has on each key.
+    fn recorded(scenario: &Scenario<'_>) -> ((RunOutcome, f64, f64), BTreeMap<String, u64>) {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("run.mcap");
+        let mut recorder = Recorder::create(&file, "a run".to_owned()).unwrap();
+        let prepared = scenario.prepare(&Layers::load(None).unwrap()).unwrap();
+        let reports = prepared.run(Some(&mut recorder), |_, _, _| {});
+        recorder.finish().unwrap();
+        let mut counts: BTreeMap<String, u64> = BTreeMap::new();
+        let mut reader = RecordReader::open(&file).unwrap();
+        while let Some(sample) = reader.next_sample().unwrap() {
+            *counts.entry(sample.key).or_default() += 1;
+        }
+        ((reports[0].outcome, reports[0].time_s, reports[0].length_m), counts)
+    }
+
+    #[test]
+    fn a_robot_without_a_plain_lidar_is_localised_and_recorded_by_its_first_named_one() {
+        let world = World::shipped("kitchen").unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("front.toml");
+        let text = robot::shipped("tiago").unwrap().replace("[lidar]", "[lidars.front]");
+        std::fs::write(&file, text).unwrap();
+        let front = format!("{}+indoor", file.display());
+        for (poses, timeout) in [(PoseSource::Slam, 60.0), (PoseSource::Localise, 2.0)] {
+            let [plain, named] = ["tiago+indoor", front.as_str()].map(|robot| {
+                let mut scenario = drive(&world);
+                scenario.entrants[0].robot = Some(robot);
+                let known_map = poses == PoseSource::Localise;
+                recorded(&Scenario {
+                    known_map,
+                    poses: Some(poses),
+                    timeout,
+                    ..scenario
+                })
+            });
+            assert_eq!(named, plain, "{poses:?}");
+            let (end, counts) = named;
+            assert_eq!(end.0 == RunOutcome::Reached, poses == PoseSource::Slam, "{end:?}");
+            for key in ["zenav/robot/edge/scan", "zenav/robot/cloud/localisation"] {
+                assert!(counts.contains_key(key), "{key}: {counts:?}");
+            }
+            assert!(!counts.contains_key("zenav/robot/edge/scan/front"), "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn scans_of_a_further_lidar_are_recorded_under_its_name() {
+        let world = World::shipped("kitchen").unwrap();
+        let mut scenario = drive(&world);
+        scenario.entrants[0].robot = Some("tiago+rear_lidar");
+        scenario.timeout = 1.0;
+        let (_, counts) = recorded(&scenario);
+        for key in ["zenav/robot/edge/scan", "zenav/robot/edge/scan/rear"] {
+            assert!(counts.contains_key(key), "{key}: {counts:?}");
+        }
+        assert!(!counts.contains_key("zenav/robot/edge/scan/lidar"), "{counts:?}");
     }
 
     #[test]

@@ -24,6 +24,7 @@ use zenav_protocol::bus::interrupted;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::launch::runtime;
+use crate::tasks;
 use link::{Impairment, Link};
 pub use script::Script;
 
@@ -84,7 +85,7 @@ pub struct NetemArgs {
 /// A taken port, a bad address, a bad line of the script.
 pub fn run(args: &NetemArgs) -> Outcome {
     let script = timeline(args)?;
-    runtime()?.block_on(async {
+    tasks::block_on(&runtime()?, async {
         let listener = listen(&args.listen)
             .await
             .map_err(|error| Failure::failed(format!("--listen {}: {error}", args.listen)))?;
@@ -158,7 +159,7 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
     let start = Instant::now();
     let (reset, resets) = watch::channel(0_u32);
     let times = script.resets.clone();
-    let closing = tokio::spawn(async move {
+    let closing = tasks::spawn(async move {
         let mut times = times;
         times.sort_unstable();
         for at in times {
@@ -181,7 +182,7 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
         };
         let (up, down, to, mut resets) = (up.clone(), down.clone(), to.to_owned(), resets.clone());
         resets.mark_unchanged();
-        tokio::spawn(async move {
+        tasks::spawn(async move {
             tracing::info!(%peer, "connected");
             tokio::select! {
                 _ = resets.changed() => tracing::info!(%peer, "reset"),

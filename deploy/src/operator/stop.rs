@@ -16,6 +16,7 @@ use crate::connect::{self, LinkArgs, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
+use crate::tasks::boxed;
 
 /// A robot publishes its state within this time.
 const STATE_WITHIN: Duration = Duration::from_millis(400);
@@ -209,11 +210,18 @@ pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Resul
     let patience = link.patience();
     let mut links = JoinSet::new();
     let request = StopRequest::new(holder());
-    links.spawn(confirmed(bus.clone(), robot.to_owned(), request.clone(), patience));
+    links.spawn(boxed(confirmed(
+        bus.clone(),
+        robot.to_owned(),
+        request.clone(),
+        patience,
+    )));
     for endpoint in link.endpoints() {
         let (robot, request, mut link) = (robot.to_owned(), request.clone(), link.clone());
         link.connect = vec![endpoint];
-        links.spawn(async move { confirmed(connect::open(&link).await?, robot, request, patience).await });
+        links.spawn(boxed(async move {
+            confirmed(connect::open(&link).await?, robot, request, patience).await
+        }));
     }
     let mut failure = None;
     let end = Instant::now() + patience;

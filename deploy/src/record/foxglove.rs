@@ -5,7 +5,7 @@
 //! | `/{robot}/scan`, `/{robot}/scan/{lidar}` | `LaserScan`, in the map at the scan's own stamp | `edge/scan` |
 //! | `/{robot}/map` | `Grid`, at most once a second | `cloud/map_patch` |
 //! | `/{robot}/pose` | `PoseInFrame` | `edge/pose` |
-//! | `/tf` | `FrameTransforms`: `map`, `{robot}/odom`, `{robot}/base_link`, `{robot}/laser` | `edge/odometry`, `edge/scan` |
+//! | `/tf` | `FrameTransforms`: `map`, `{robot}/odom`, `{robot}/base_link`, `{robot}/laser`, `{robot}/{lidar}` | `edge/odometry`, `edge/scan` |
 //! | `/{robot}/footprint`, `/{robot}/plan`, `/{robot}/tree`, `/{robot}/graph` | `SceneUpdate`: footprint; plan and its end; search tree; pose graph | the edge's info, `cloud/plan`, `cloud/tree`, `cloud/graph` |
 //! | `/{robot}/scene` | `SceneUpdate` of what goes by itself after a while: obstacles, intent, markers | `edge/…` |
 //! | `/{robot}/log` | `Log` | `edge/event`, `cloud/goal/…` |
@@ -32,7 +32,6 @@ use zenav_protocol::messages::{
     SearchTree,
 };
 use zenav_protocol::robot::Footprint;
-use zenav_protocol::sensors::DEFAULT_LIDAR;
 use zenav_protocol::topics;
 
 use super::format::Sample;
@@ -260,7 +259,7 @@ fn frames(transforms: Vec<FrameTransform>) -> Option<Drawn> {
     Drawn::new(FRAMES.to_owned(), &FrameTransforms { transforms })
 }
 
-/// A scan of the main lidar or of the named one, and the frames that it was taken in.
+/// A scan of the main lidar or of the further one of this name, and the frames that it was taken in.
 fn scan(time: Option<Timestamp>, robot: &str, lidar: Option<String>, scan: &Scan) -> Vec<Drawn> {
     let topic = lidar
         .as_ref()
@@ -282,8 +281,7 @@ fn scan(time: Option<Timestamp>, robot: &str, lidar: Option<String>, scan: &Scan
         ranges: scan.ranges.iter().map(no_return).collect(),
         intensities: Vec::new(),
     };
-    let laser = lidar.filter(|lidar| lidar != DEFAULT_LIDAR);
-    let laser = laser.as_deref().unwrap_or("laser");
+    let laser = lidar.as_deref().unwrap_or("laser");
     let (odom, base) = (format!("{robot}/odom"), format!("{robot}/base_link"));
     let frames = frames(vec![
         frame(time, MAP.to_owned(), odom, scan.map_from_odom),
@@ -506,6 +504,17 @@ mod tests {
         );
         let frames: FrameTransforms = decoded(&drawn[1]);
         assert_eq!(frames.transforms[1].child_frame_id, "r/laser");
+    }
+
+    #[test]
+    fn a_further_lidar_has_a_topic_and_a_frame_of_its_own_whatever_its_name() {
+        let scan = zenav_fixtures::scan(1, Pose2::IDENTITY, vec![1.0]);
+        for lidar in ["rear", "lidar"] {
+            let drawn = Artist::default().draw(&sample(&format!("zenav/r/edge/scan/{lidar}"), &scan, 1));
+            let frames: FrameTransforms = decoded(&drawn[1]);
+            let names = (&drawn[0].topic, &frames.transforms[1].child_frame_id);
+            assert_eq!(names, (&format!("/r/scan/{lidar}"), &format!("r/{lidar}")));
+        }
     }
 
     #[test]

@@ -15,6 +15,7 @@ use zenav_protocol::topics;
 
 use super::format::{Kind, Sample};
 use crate::failure::Failure;
+use crate::tasks::boxed;
 
 /// Most bytes queued: some seconds of a robot at full rate, or one large map.
 const BACKLOG: usize = 64 << 20;
@@ -164,7 +165,7 @@ impl Listener {
             "map" => format!("mapping-{robot}"),
             _ => "*".to_owned(),
         };
-        self.questions.spawn(async move {
+        self.questions.spawn(boxed(async move {
             let request = InfoRequest::default();
             let told = if is_robot {
                 let key = topics::EDGE_INFO.key(&[&topic[0]]);
@@ -182,7 +183,7 @@ impl Listener {
             });
             let replies: Vec<Sample> = replies.collect();
             if replies.is_empty() { Err(topic) } else { Ok(replies) }
-        });
+        }));
     }
 
     /// Call every second with the robots whose maps are incomplete: asks for those that were incomplete a second ago too. A patch that is
@@ -199,14 +200,14 @@ impl Listener {
         for robot in self.lacking.iter().filter(|robot| before.contains(robot)).cloned() {
             self.asked_for_maps = Some(Instant::now());
             let (bus, timeline) = (self.bus.clone(), self.timeline);
-            self.questions.spawn(async move {
+            self.questions.spawn(boxed(async move {
                 let request = MapRequest::default();
                 let map = bus.ask(&topics::MAP, &[&robot], &request, PATIENCE).await;
                 let map = map.ok().and_then(|map| codec::encode(&map, Encoding::Cbor).ok());
                 let key = topics::MAP.key(&[&robot]);
                 let replies = map.map(|bytes| reply(key, Encoding::Cbor, bytes, timeline));
                 Ok(replies.into_iter().collect())
-            });
+            }));
         }
     }
 

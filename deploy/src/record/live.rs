@@ -31,6 +31,7 @@ use super::schema;
 use crate::connect::{self, RobotArgs, fresh_id};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::tasks;
 
 /// Foxglove's own port, on loopback.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:8765";
@@ -145,7 +146,7 @@ impl LiveView {
         Ok(Self {
             server: Some(server),
             address: format!("ws://{}", SocketAddr::new(address.ip(), port)),
-            task: tokio::spawn(show.run(listener, wanted)),
+            task: tasks::spawn(show.run(listener, wanted)),
         })
     }
 
@@ -340,7 +341,7 @@ impl Show {
             Wanted::Goal { topic, payload } => match self.goal(&topic, &payload) {
                 Ok((robot, request)) => {
                     let bus = self.bus.clone();
-                    tokio::spawn(async move {
+                    tasks::spawn(async move {
                         match bus.ask(&topics::GOAL, &[&robot], &request, PATIENCE).await {
                             Ok(reply) => tracing::info!(robot, goal = reply.id, "goal from Foxglove"),
                             Err(error) => tracing::warn!(robot, %error, "goal from Foxglove was refused"),

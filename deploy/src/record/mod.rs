@@ -49,7 +49,7 @@ pub use film::{FilmArgs, film, write_film};
 pub use format::{Kind, Problem, RecordError, Sample, TITLE_ENTRY};
 pub use live::{DEFAULT_LISTEN as FOXGLOVE_LISTEN, LiveView, ViewArgs, view};
 pub use reader::RecordReader;
-pub use recompute::{MapVerdict, MotionVerdict, Part, Recomputed, Uncompared, recompute};
+pub use recompute::{MapVerdict, MotionVerdict, Recomputable, Recomputed, Uncompared, recompute};
 pub use recorder::Recording;
 pub use replay::{ReplayArgs, replay};
 pub use report::{ReportArgs, report, write_report};

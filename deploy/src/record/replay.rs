@@ -23,6 +23,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::inspect::pattern;
 use crate::output::{self, Format};
+use crate::tasks;
 
 type MapRequested = Request<MapRequest, MapReply>;
 
@@ -68,7 +69,7 @@ pub struct ReplayArgs {
         value_delimiter = ',',
         conflicts_with_all = ["from", "to", "keys", "speed", "to_live_robot"]
     )]
-    recompute: Vec<super::recompute::Part>,
+    recompute: Vec<super::recompute::Recomputable>,
     /// Deployment with the run's settings, for --recompute [default: the settings in the record, or the shipped ones]
     #[arg(long, value_name = "DEPLOYMENT", requires = "recompute")]
     deployment: Option<PathBuf>,
@@ -414,7 +415,7 @@ fn map_requests(bus: &Bus, robots: &BTreeSet<&str>) -> Result<mpsc::Receiver<Map
     for robot in robots {
         let mut server = bus.serve(&topics::MAP, &[robot])?;
         let sender = sender.clone();
-        tokio::spawn(async move {
+        tasks::spawn(async move {
             while let Some(request) = server.next().await {
                 if sender.send(request).await.is_err() {
                     return;

@@ -2,9 +2,8 @@
 
 use std::path::Path;
 
-use zenav_mapping::atomic::write_atomically;
 use zenav_mapping::carmen::LOG_BEAMS;
-use zenav_mapping::{InsertMode, build as maps};
+use zenav_mapping::{InsertMode, build_map, write_atomically};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::Scan;
@@ -56,7 +55,7 @@ pub(crate) fn drawn(path: &Path, resolution: f64) -> Result<Option<OccupancyGrid
     if scans.is_empty() {
         return Err(Failure::usage_at(path)("expected a session with scans, found none"));
     }
-    let built = maps::build_map(&scans, resolution, InsertMode::Reference, &LOG_BEAMS);
+    let built = build_map(&scans, resolution, InsertMode::Reference, &LOG_BEAMS);
     Ok(Some(built.map_err(Failure::usage_at(path))?.map.to_occupancy()))
 }
 

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use zenav_mapping::carmen::{self, LOG_BEAMS};
-use zenav_mapping::{InsertMode, build as maps, map_file};
+use zenav_mapping::{InsertMode, build_map, write_map};
 use zenav_pose_graph::g2o;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
@@ -36,9 +36,9 @@ pub(super) fn write(out: &Path, resolution: f64, drawn: &Drawn<'_>) -> Result<Pa
     files::write(&out.join("trajectory.csv"), rows)?;
     let graph = g2o::write_weighted(drawn.slam.graph(), &[], drawn.slam.weights());
     files::write(&out.join("graph.g2o"), graph)?;
-    let built = maps::build_map(drawn.placed, resolution, InsertMode::Reference, &LOG_BEAMS);
+    let built = build_map(drawn.placed, resolution, InsertMode::Reference, &LOG_BEAMS);
     let grid = built.map_err(Failure::failed)?.map.to_occupancy();
-    let map = map_file::write_map(out, "map", &grid, "SLAM of a log").map_err(Failure::failed)?;
+    let map = write_map(out, "map", &grid, "SLAM of a log").map_err(Failure::failed)?;
     let picture = picture::draw(&grid, &drawn.ways, drawn.slam)?;
     files::write(&out.join("slam.png"), picture.png()?)?;
     Ok(map)

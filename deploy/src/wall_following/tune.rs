@@ -200,7 +200,7 @@ pub fn tune(args: &TuneArgs) -> Outcome {
         model.name, args.robot, args.rooms, args.generations, args.population, args.time, args.seed
     );
     files::write(&report.robot_file, head + &tuned)?;
-    let json = serde_json::to_string_pretty(&report).map_err(Failure::failed)?;
+    let json = output::pretty(&report)?;
     files::write(&args.out.join("report.json"), json + "\n")?;
     files::write(&args.out.join("tuning.svg"), chart::draw(&report, &traces)?)?;
     output::value(args.output, &report, text)?;

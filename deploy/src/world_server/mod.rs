@@ -29,6 +29,7 @@ use crate::files;
 use crate::health::HealthArgs;
 use crate::launch::runtime;
 use crate::output::{self, Format};
+use crate::tasks;
 use host::{Host, RobotReport};
 
 /// Most wheel commands queued.
@@ -96,7 +97,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
     };
     let security = args.security.security()?;
     security.check_role("`zenav sim serve`", &[Role::Router])?;
-    runtime()?.block_on(async {
+    tasks::block_on(&runtime()?, async {
         args.health.serve(&security).await?;
         // With an endpoint it is a router itself: readings reach the edges without a detour.
         let config = BusConfig {

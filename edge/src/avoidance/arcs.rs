@@ -322,8 +322,8 @@ impl Avoidance {
             }
             let distance = discs.distance(at) - track.radius;
             if let Some(kept) = kept(&self.settings, track, *secs) {
-                let way = track.way(after, lead);
-                nearest = nearest.min(discs.distance_from_way(&way) - track.radius - kept);
+                let path = track.path(after, lead);
+                nearest = nearest.min(discs.distance_from_path(&path) - track.radius - kept);
             }
             let least = LEAST_DISTANCE.min(before - LEAST_CLEARANCE);
             let mut touches = distance < least;

@@ -18,7 +18,7 @@
 //! word.
 
 mod arcs;
-mod clearance_grid;
+pub mod clearance_grid;
 mod touched;
 mod value_function;
 
@@ -29,7 +29,7 @@ use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::collision_monitor::CollisionMonitor;
-use crate::course::Way;
+use crate::course::PredictedPath;
 use crate::local_obstacles::LocalObstacles;
 use crate::obstacle_tracks::Track;
 use crate::settings::AvoidanceSettings;
@@ -77,7 +77,7 @@ pub struct AvoidanceInput<'a> {
     pub speed_cap: f64,
     /// It has the last word: a motion that it would slow down is no way out.
     pub monitor: &'a CollisionMonitor,
-    /// The bumper.
+    /// What the bumper feels now.
     pub bump: &'a Bump,
     /// The rest of the plan, from where the robot should be now.
     pub ahead: &'a [Ahead],
@@ -129,7 +129,7 @@ pub struct Avoidance {
 }
 
 impl Avoidance {
-    /// For a robot.
+    /// Avoidance for a robot of this model, with nothing to avoid yet.
     #[must_use]
     pub fn new(model: &RobotModel, settings: &AvoidanceSettings) -> Self {
         let drive = model.drive.clone();
@@ -264,8 +264,8 @@ impl Avoidance {
             .take_while(|ahead| ahead.secs <= self.settings.horizon);
         let comes_near = |secs: f64, discs: &PlacedDiscs| {
             kept(&self.settings, track, secs).is_some_and(|kept| {
-                let way = track.way(secs + age, lead(&self.settings, track));
-                discs.distance_from_way(&way) - track.radius < kept
+                let path = track.path(secs + age, lead(&self.settings, track));
+                discs.distance_from_path(&path) - track.radius < kept
             })
         };
         within
@@ -312,8 +312,8 @@ impl PlacedDiscs {
     }
 
     /// Their distance from the path that a track's center takes over some moments, m: the robot must be out of it before.
-    fn distance_from_way(&self, way: &Way) -> f64 {
-        self.least(|center| way.distance(center))
+    fn distance_from_path(&self, path: &PredictedPath) -> f64 {
+        self.least(|center| path.distance(center))
     }
 
     /// The least of some measure of their centers, less their radii, m.

@@ -108,7 +108,7 @@ fn rows(layer: &[f32]) -> &[[f32; SIDE]] {
 }
 
 impl ValueFunction {
-    /// For a robot.
+    /// A value function for a robot of this model, over the horizon of the settings.
     pub(super) fn new(model: &RobotModel, settings: &AvoidanceSettings) -> Self {
         let layer = settings.horizon / LAYERS as f64;
         Self {
@@ -187,10 +187,10 @@ impl ValueFunction {
         let Some(kept) = kept(&self.settings, track, secs) else {
             return;
         };
-        let way = track.way(secs + age, lead(&self.settings, track));
+        let path = track.path(secs + age, lead(&self.settings, track));
         let near = track.radius + self.inscribed + LEAST_CLEARANCE;
         let far = near.max(track.radius + self.inscribed + kept);
-        let (middle, reach) = way.disc();
+        let (middle, reach) = path.disc();
         let [columns, rows] = self.around(middle, far + reach);
         let xs: [f32; SIDE] = std::array::from_fn(|column| (column as f32 + 0.5) * self.cell as f32);
         let (near, far, cost) = (near as f32, far as f32, NEARNESS * self.layer as f32);
@@ -199,7 +199,7 @@ impl ValueFunction {
         for row in rows {
             let (xs, y) = (&xs[columns.clone()], (row as f32 + 0.5) * self.cell as f32);
             let distances = &mut distances[columns.clone()];
-            way.distances(self.origin, xs, y, distances);
+            path.distances(self.origin, xs, y, distances);
             let start = nth * CELLS + row * SIDE;
             let values = &mut self.values[start..][columns.clone()];
             let hits = &mut self.hits[start..][columns.clone()];

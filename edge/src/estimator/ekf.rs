@@ -103,9 +103,9 @@ pub(super) struct Compared {
     pub(super) fused: bool,
 }
 
-/// Motion until the next input, as far as the sensors tell.
+/// Wheel and gyro readings that cover the interval to the next input.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
+pub(super) struct OdometryInterval {
     /// Stamp and angles (rad) of the wheels' reading that ends the interval.
     pub(super) wheels: (Stamp, [f64; 2]),
     /// Stamp and mean rate (rad/s) of the gyro's reading that covers it.
@@ -270,7 +270,7 @@ impl Ekf {
         &mut self,
         (model, settings): Known<'_>,
         stamp: Stamp,
-        motion: &Motion,
+        motion: &OdometryInterval,
         input: &Input,
     ) -> Option<Compared> {
         self.advance((model, settings), stamp, motion);
@@ -322,7 +322,7 @@ impl Ekf {
     }
 
     /// Predicts to a stamp within the interval that `motion` covers.
-    fn advance(&mut self, (model, settings): Known<'_>, to: Stamp, motion: &Motion) {
+    fn advance(&mut self, (model, settings): Known<'_>, to: Stamp, motion: &OdometryInterval) {
         let secs = to.secs_since(self.time);
         let interval = motion.wheels.0.secs_since(self.wheels.0);
         if secs <= 0.0 || interval <= 0.0 {

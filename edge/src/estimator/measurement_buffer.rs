@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::time::Stamp;
 
-use super::ekf::{Compared, Ekf, Input, Known, Motion};
+use super::ekf::{Compared, Ekf, Input, Known, OdometryInterval};
 
 /// An input older than this is dropped, s.
 pub(super) const WINDOW: f64 = 2.0;
@@ -193,7 +193,7 @@ impl MeasurementBuffer {
             let mut ekf = self.ekf().clone();
             let wheels = self.next(&mut wheels_ahead, index, Entry::wheels);
             let gyro = self.next(&mut gyro_ahead, index, Entry::gyro);
-            let motion = Motion {
+            let motion = OdometryInterval {
                 // No wheels are ahead only at the stamp of their newest reading itself, where no time is left to move.
                 wheels: wheels.unwrap_or((entry.stamp, [0.0; 2])),
                 gyro: gyro.filter(|(until, _)| {

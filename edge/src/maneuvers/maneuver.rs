@@ -18,16 +18,17 @@ pub struct Maneuver {
     id: String,
     drive: Drive,
     settings: ManeuverSettings,
-    motion: Motion,
+    motion: MotionPrimitive,
     /// The motion that follows.
-    next: Option<Motion>,
+    next: Option<MotionPrimitive>,
     deadline: Stamp,
     blocked: f64,
     begun: Pose2,
 }
 
+/// A motion primitive that the maneuver executes, and how far it is.
 #[derive(Clone, Copy, Debug)]
-enum Motion {
+enum MotionPrimitive {
     Spin {
         left: f64,
         last_yaw: f64,
@@ -75,7 +76,7 @@ impl Maneuver {
                     ));
                 }
                 (
-                    Motion::Spin {
+                    MotionPrimitive::Spin {
                         left: angle,
                         last_yaw: odom_from_base.yaw,
                     },
@@ -89,18 +90,21 @@ impl Maneuver {
                     ));
                 }
                 let speed = speed.min(settings.speed_share * drive.top_speed());
-                (Motion::Drive { distance, speed }, 5.0 + 4.0 * distance.abs() / speed)
+                (
+                    MotionPrimitive::Drive { distance, speed },
+                    5.0 + 4.0 * distance.abs() / speed,
+                )
             }
             BehaviourAction::ToFree { clearance, within } => {
                 if !((0.0..=10.0).contains(&clearance) && (0.0..=10.0).contains(&within)) {
                     return Err("expected a clearance and a distance of at most 10 m".into());
                 }
                 match escape(clearance, within) {
-                    None => (Motion::Nowhere, 1.0),
+                    None => (MotionPrimitive::Nowhere, 1.0),
                     Some(Escape { turn, distance }) => {
                         let speed = settings.escape_speed.min(settings.speed_share * drive.top_speed());
-                        next = Some(Motion::Drive { distance, speed });
-                        let spin = Motion::Spin {
+                        next = Some(MotionPrimitive::Drive { distance, speed });
+                        let spin = MotionPrimitive::Spin {
                             left: turn,
                             last_yaw: odom_from_base.yaw,
                         };
@@ -116,7 +120,7 @@ impl Maneuver {
                     return Err("expected 0 to 3600 s".into());
                 }
                 (
-                    Motion::Wait {
+                    MotionPrimitive::Wait {
                         until: now.plus_secs(secs),
                     },
                     secs + 5.0,
@@ -146,9 +150,9 @@ impl Maneuver {
     #[must_use]
     pub fn sweep(&self) -> Option<(Twist2, f64)> {
         match self.motion {
-            Motion::Spin { left, .. } => Some((Twist2::new(0.0, left.signum()), left.abs())),
-            Motion::Drive { distance, .. } => Some((Twist2::new(distance.signum(), 0.0), distance.abs())),
-            Motion::Wait { .. } | Motion::Nowhere => None,
+            MotionPrimitive::Spin { left, .. } => Some((Twist2::new(0.0, left.signum()), left.abs())),
+            MotionPrimitive::Drive { distance, .. } => Some((Twist2::new(distance.signum(), 0.0), distance.abs())),
+            MotionPrimitive::Wait { .. } | MotionPrimitive::Nowhere => None,
         }
     }
 
@@ -179,7 +183,7 @@ impl Maneuver {
     fn advance(&mut self, now: Stamp, odom_from_base: Pose2, velocity: Twist2) -> Step {
         let slow = velocity.v.abs() < 0.02 && velocity.w.abs() < 0.05;
         match &mut self.motion {
-            Motion::Spin { left, last_yaw } => {
+            MotionPrimitive::Spin { left, last_yaw } => {
                 *left -= wrap_angle(odom_from_base.yaw - *last_yaw);
                 *last_yaw = odom_from_base.yaw;
                 if left.abs() < self.settings.turn_tolerance && slow {
@@ -190,7 +194,7 @@ impl Maneuver {
                     approach(left.abs(), 0.5 * brakes, 3.0).min(self.settings.speed_share * self.drive.top_yaw_rate());
                 Step::Go(Twist2::new(0.0, speed * left.signum()))
             }
-            Motion::Drive { distance, speed } => {
+            MotionPrimitive::Drive { distance, speed } => {
                 let gone = self.begun.inverse() * odom_from_base;
                 let left = *distance - gone.x;
                 if left.abs() < self.settings.distance_tolerance && slow {
@@ -199,8 +203,10 @@ impl Maneuver {
                 let v = approach(left.abs(), 0.5 * self.drive.acceleration(), 2.0).min(*speed);
                 Step::Go(Twist2::new(v * left.signum(), -self.settings.straight_gain * gone.yaw))
             }
-            Motion::Nowhere => Step::Done(self.report(BehaviourState::Failed, Some("no free place within reach"))),
-            Motion::Wait { until } => {
+            MotionPrimitive::Nowhere => {
+                Step::Done(self.report(BehaviourState::Failed, Some("no free place within reach")))
+            }
+            MotionPrimitive::Wait { until } => {
                 if now >= *until {
                     return Step::Done(self.report(BehaviourState::Succeeded, None));
                 }

@@ -22,7 +22,7 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// Its number.
+    /// Number of the present frame; 0 before the first.
     pub(super) fn number(&self) -> u64 {
         self.number.unwrap_or(0)
     }

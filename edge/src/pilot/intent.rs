@@ -81,6 +81,7 @@ impl Pilot {
             stamp: now,
             map_from_base: pose,
             velocity,
+            frame: self.frame.number(),
             step: STEP,
             places,
             later,

@@ -55,14 +55,14 @@ impl Pilot {
             self.mount_watch
                 .insert(&sweep.lidar, lidar, ranges, &moving, odom_from_base);
             if self.telemetry.scan_due(&sweep.lidar) {
-                let main = self.config.model.all_lidars().next().map(|(name, _)| name);
+                let is_main = self.config.model.is_main_lidar(&sweep.lidar);
                 let (boot_id, model) = (self.events.boot_id(), &self.config.model);
                 let scan = telemetry::scan(sweep, &self.obstacles, boot_id, model, &self.estimator);
                 out.extend(scan.map(|mut scan| {
-                    if main == Some(sweep.lidar.as_str()) {
+                    if is_main {
                         scan.fixes = self.fixes.take();
                     }
-                    Publication::Scan(sweep.lidar.clone(), scan)
+                    Publication::Scan((!is_main).then(|| sweep.lidar.clone()), scan)
                 }));
             }
         }

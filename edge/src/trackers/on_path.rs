@@ -14,7 +14,7 @@ use crate::limiter::within_speed;
 pub enum Wanted {
     /// To turn on the spot, by this angle, rad.
     Turn(f64),
-    /// To drive.
+    /// To drive with this twist.
     Drive(Twist2),
 }
 

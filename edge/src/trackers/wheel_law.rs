@@ -16,7 +16,7 @@ use super::{TrackerInput, bearing};
 /// Number of waypoints looked at: farther ahead the speed limit applies anyway.
 const LOOK: usize = 8;
 
-/// The wheel law.
+/// Drives each wheel by the bearing and the distance of the next waypoint.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WheelLaw;
 

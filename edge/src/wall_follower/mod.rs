@@ -44,9 +44,9 @@ pub struct WallFollowerInput<'a> {
     pub settings: &'a WallFollowing,
     /// Obstacles around the robot.
     pub obstacles: &'a LocalObstacles,
-    /// Odometry.
+    /// Pose of the robot by odometry.
     pub odom_from_base: Pose2,
-    /// The bumper.
+    /// What the bumper feels now.
     pub bump: &'a Bump,
     /// Whether the collision monitor stopped the robot at the last tick.
     pub stopped: bool,

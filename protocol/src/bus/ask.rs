@@ -11,11 +11,12 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep_until, timeout_at};
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 use zenoh::qos::Priority;
-use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply, ReplyError};
+use zenoh::sample::Sample;
 
 use super::rights::{Act, Denied};
 use super::serve::SCHEMA;
@@ -97,9 +98,9 @@ impl Drop for Replies {
     }
 }
 
-/// A decoded reply.
-enum Verdict<R> {
-    Answer(Answer<R>),
+/// A decoded reply that carries an error.
+enum ErrorReply {
+    Refusal(Refusal),
     Unreadable(CodecError),
     /// Zenoh's own report of a timeout.
     Nothing,
@@ -119,65 +120,16 @@ impl Bus {
         request: &Q,
         deadline: Duration,
     ) -> Result<R, AskError> {
-        let question = self.question(ask, chunks, request)?;
-        let start = Instant::now();
-        let end = start
-            .checked_add(deadline)
-            .unwrap_or_else(|| start + Duration::from_secs(365 * 24 * 3600));
-        let patience = (deadline / 3).max(LEAST_PATIENCE);
-        let (sender, mut events) = mpsc::channel(MAX_WAITING);
-        let mut wait = SHORTEST_WAIT;
-        let mut refusal = None;
-        let mut unreadable = None;
-        let mut open = 0_usize;
-        let mut again = start;
+        let question = self.question(ask.key(chunks), ask.max_bytes, ask.reply_encoding, &|| {
+            (ask.encode_request)(request)
+        })?;
+        let mut asking = Asking::new(self, question, deadline);
         loop {
-            // Tokio's timer rounds up to a millisecond, several times the duration of an answer.
-            if Instant::now() >= again {
-                self.send(&question, end.saturating_duration_since(Instant::now()), &sender)?;
-                open += 1;
-                again = Instant::now() + patience;
+            let sample = asking.reply().await?;
+            match decode_sample(&sample, ask.decode_reply, MAX_REPLY) {
+                Ok(answer) => return Ok(answer),
+                Err(error) => asking.unreadable = Some(error),
             }
-            let event = tokio::select! {
-                biased;
-                () = sleep_until(end) => break,
-                event = events.recv() => event,
-                () = sleep_until(again) => continue,
-            };
-            match event {
-                Some(Some(reply)) => match read(ask, reply) {
-                    Verdict::Answer(Answer { result: Ok(answer), .. }) => return Ok(answer),
-                    Verdict::Answer(Answer {
-                        result: Err(no @ (Refusal::NotLeader | Refusal::Busy { .. })),
-                        ..
-                    }) => refusal = Some(no),
-                    Verdict::Answer(Answer { result: Err(no), .. }) => return Err(AskError::Refused(no)),
-                    Verdict::Unreadable(error) => unreadable = Some(error),
-                    Verdict::Nothing => {}
-                },
-                Some(None) => {
-                    if self.session.is_closed() {
-                        return Err(AskError::Closed);
-                    }
-                    // Until now another server might have answered; now it is certain that none did.
-                    if let Some(error) = unreadable {
-                        return Err(question.malformed(&error));
-                    }
-                    open = open.saturating_sub(1);
-                    if open == 0 {
-                        again = Instant::now() + wait;
-                        wait = (wait * 2).min(LONGEST_WAIT);
-                    }
-                }
-                None => break,
-            }
-        }
-        match (refusal, unreadable) {
-            (Some(refusal), _) => Err(AskError::Refused(refusal)),
-            (None, Some(error)) => Err(question.malformed(&error)),
-            (None, None) => Err(AskError::Timeout {
-                key: question.key.to_string(),
-            }),
         }
     }
 
@@ -192,46 +144,66 @@ impl Bus {
         request: &Q,
         deadline: Duration,
     ) -> Result<Vec<Answer<R>>, AskError> {
-        let question = self.question(ask, chunks, request)?;
-        let (sender, mut events) = mpsc::channel(MAX_WAITING);
-        self.send(&question, deadline, &sender)?;
-        drop(sender);
+        let question = self.question(ask.key(chunks), ask.max_bytes, ask.reply_encoding, &|| {
+            (ask.encode_request)(request)
+        })?;
+        let mut gathering = self.ask_once(question, deadline)?;
         let mut answers = Vec::new();
-        let gather = async {
-            while let Some(Some(reply)) = events.recv().await {
-                match read(ask, reply) {
-                    Verdict::Answer(answer) => answers.push(answer),
-                    Verdict::Unreadable(error) => {
-                        tracing::warn!(key = %question.key, %error, "reply ignored: it cannot be decoded")
-                    }
-                    Verdict::Nothing => {}
-                }
+        while let Some(reply) = gathering.next().await {
+            match reply {
+                Ok(sample) => match decode_sample(&sample, ask.decode_reply, MAX_REPLY) {
+                    Ok(message) => answers.push(Answer {
+                        chunks: ask.chunks(sample.key_expr().as_str()),
+                        result: Ok(message),
+                    }),
+                    Err(error) => gathering.ignore(&error),
+                },
+                Err(refusal) => answers.push(Answer {
+                    chunks: Vec::new(),
+                    result: Err(refusal),
+                }),
             }
-        };
-        // Zenoh ends the query at the deadline; this is a fallback.
-        let _ = tokio::time::timeout(deadline + LEAST_PATIENCE, gather).await;
+        }
         answers.sort_by(|a, b| a.chunks.cmp(&b.chunks));
         Ok(answers)
     }
 
-    fn question<Q: Serialize, R>(&self, ask: &Ask<Q, R>, chunks: &[&str], request: &Q) -> Result<Question, AskError> {
+    /// Sends a request once.
+    fn ask_once(&self, question: Question, deadline: Duration) -> Result<Gathering, AskError> {
+        let (sender, events) = mpsc::channel(MAX_WAITING);
+        self.send(&question, deadline, &sender)?;
+        Ok(Gathering {
+            question,
+            events,
+            // Zenoh ends the query at the deadline; this is a fallback.
+            end: after(Instant::now(), deadline + LEAST_PATIENCE),
+        })
+    }
+
+    fn question(
+        &self,
+        text: String,
+        max_bytes: usize,
+        reply_encoding: Encoding,
+        encode: &dyn Fn() -> Result<Vec<u8>, CodecError>,
+    ) -> Result<Question, AskError> {
         if self.session.is_closed() {
             return Err(AskError::Closed);
         }
-        let key = Self::key(ask.key(chunks)).map_err(|error| AskError::Unaskable {
-            key: ask.key(chunks),
+        let key = Self::key(text.clone()).map_err(|error| AskError::Unaskable {
+            key: text,
             reason: error.to_string(),
         })?;
         self.check_key(Act::Ask, &key)?;
-        let bytes = codec::encode(request, Encoding::Json).map_err(|error| AskError::Unaskable {
+        let bytes = encode().map_err(|error| AskError::Unaskable {
             key: key.to_string(),
             reason: error.to_string(),
         })?;
         // The server would refuse it, and routers drop larger requests on the way.
-        if bytes.len() > ask.max_bytes {
-            return Err(AskError::Refused(Refusal::TooLarge { limit: ask.max_bytes }));
+        if bytes.len() > max_bytes {
+            return Err(AskError::Refused(Refusal::TooLarge { limit: max_bytes }));
         }
-        let format = match ask.reply_encoding {
+        let format = match reply_encoding {
             Encoding::Json => "",
             Encoding::Cbor => "format=cbor;",
         };
@@ -288,23 +260,160 @@ impl Question {
     }
 }
 
-fn read<Q, R: DeserializeOwned>(ask: &Ask<Q, R>, reply: Reply) -> Verdict<R> {
-    match reply.result() {
-        Ok(sample) => match decode_sample(sample, MAX_REPLY) {
-            Ok(message) => Verdict::Answer(Answer {
-                chunks: ask.chunks(sample.key_expr().as_str()),
-                result: Ok(message),
-            }),
-            Err(error) => Verdict::Unreadable(error),
-        },
-        Err(error) => match codec::decode(&error.payload().to_bytes(), encoding_of(error.encoding()), MAX_REFUSAL) {
-            Ok(refusal) => Verdict::Answer(Answer {
-                chunks: Vec::new(),
-                result: Err(refusal),
-            }),
-            Err(_) if error.payload().to_bytes().as_ref() == b"Timeout" => Verdict::Nothing,
-            Err(error) => Verdict::Unreadable(error),
-        },
+/// A request that is repeated until there is an answer.
+struct Asking<'a> {
+    bus: &'a Bus,
+    question: Question,
+    sender: mpsc::Sender<Event>,
+    events: mpsc::Receiver<Event>,
+    end: Instant,
+    patience: Duration,
+    /// When the request is sent again.
+    again: Instant,
+    /// Pause after the next request without any reply.
+    wait: Duration,
+    /// Number of queries that have not ended.
+    open: usize,
+    /// The last refusal that is not final.
+    refusal: Option<Refusal>,
+    /// Why the last unreadable reply could not be decoded.
+    unreadable: Option<CodecError>,
+}
+
+impl<'a> Asking<'a> {
+    fn new(bus: &'a Bus, question: Question, deadline: Duration) -> Self {
+        let start = Instant::now();
+        let (sender, events) = mpsc::channel(MAX_WAITING);
+        Self {
+            bus,
+            question,
+            sender,
+            events,
+            end: after(start, deadline),
+            patience: (deadline / 3).max(LEAST_PATIENCE),
+            again: start,
+            wait: SHORTEST_WAIT,
+            open: 0,
+            refusal: None,
+            unreadable: None,
+        }
+    }
+
+    /// Waits for the next reply that is not an error; sends the request whenever that is due.
+    async fn reply(&mut self) -> Result<Sample, AskError> {
+        loop {
+            // Tokio's timer rounds up to a millisecond, several times the duration of an answer.
+            if Instant::now() >= self.again {
+                self.send()?;
+            }
+            let event = tokio::select! {
+                biased;
+                () = sleep_until(self.end) => break,
+                event = self.events.recv() => event,
+                () = sleep_until(self.again) => continue,
+            };
+            match event {
+                Some(Some(reply)) => match reply.into_result() {
+                    Ok(sample) => return Ok(sample),
+                    Err(error) => self.failed(&error)?,
+                },
+                Some(None) => self.ended()?,
+                None => break,
+            }
+        }
+        Err(self.unanswered())
+    }
+
+    fn send(&mut self) -> Result<(), AskError> {
+        let left = self.end.saturating_duration_since(Instant::now());
+        self.bus.send(&self.question, left, &self.sender)?;
+        self.open += 1;
+        self.again = Instant::now() + self.patience;
+        Ok(())
+    }
+
+    /// Takes a reply that carries an error; fails if it is final.
+    fn failed(&mut self, error: &ReplyError) -> Result<(), AskError> {
+        match read_error(error) {
+            ErrorReply::Refusal(no @ (Refusal::NotLeader | Refusal::Busy { .. })) => self.refusal = Some(no),
+            ErrorReply::Refusal(no) => return Err(AskError::Refused(no)),
+            ErrorReply::Unreadable(error) => self.unreadable = Some(error),
+            ErrorReply::Nothing => {}
+        }
+        Ok(())
+    }
+
+    /// Takes the end of a query: no further reply to it will come.
+    fn ended(&mut self) -> Result<(), AskError> {
+        if self.bus.session.is_closed() {
+            return Err(AskError::Closed);
+        }
+        // Until now another server might have answered; now it is certain that none did.
+        if let Some(error) = &self.unreadable {
+            return Err(self.question.malformed(error));
+        }
+        self.open = self.open.saturating_sub(1);
+        if self.open == 0 {
+            self.again = Instant::now() + self.wait;
+            self.wait = (self.wait * 2).min(LONGEST_WAIT);
+        }
+        Ok(())
+    }
+
+    /// Why there is no answer at the deadline.
+    fn unanswered(&mut self) -> AskError {
+        match (self.refusal.take(), &self.unreadable) {
+            (Some(refusal), _) => AskError::Refused(refusal),
+            (None, Some(error)) => self.question.malformed(error),
+            (None, None) => AskError::Timeout {
+                key: self.question.key.to_string(),
+            },
+        }
+    }
+}
+
+/// The replies to a request that was sent once.
+struct Gathering {
+    question: Question,
+    events: mpsc::Receiver<Event>,
+    end: Instant,
+}
+
+impl Gathering {
+    /// Waits for the next reply or refusal; `None` when no more will come.
+    async fn next(&mut self) -> Option<Result<Sample, Refusal>> {
+        while let Ok(Some(Some(reply))) = timeout_at(self.end, self.events.recv()).await {
+            let error = match reply.into_result() {
+                Ok(sample) => return Some(Ok(sample)),
+                Err(error) => error,
+            };
+            match read_error(&error) {
+                ErrorReply::Refusal(refusal) => return Some(Err(refusal)),
+                ErrorReply::Unreadable(error) => self.ignore(&error),
+                ErrorReply::Nothing => {}
+            }
+        }
+        None
+    }
+
+    fn ignore(&self, error: &CodecError) {
+        tracing::warn!(key = %self.question.key, %error, "reply ignored: it cannot be decoded");
+    }
+}
+
+/// A time after another; a year later if the clock cannot show it.
+fn after(start: Instant, time: Duration) -> Instant {
+    start
+        .checked_add(time)
+        .unwrap_or_else(|| start + Duration::from_secs(365 * 24 * 3600))
+}
+
+fn read_error(error: &ReplyError) -> ErrorReply {
+    let payload = error.payload().to_bytes();
+    match codec::decode(&payload, encoding_of(error.encoding()), MAX_REFUSAL) {
+        Ok(refusal) => ErrorReply::Refusal(refusal),
+        Err(_) if payload.as_ref() == b"Timeout" => ErrorReply::Nothing,
+        Err(error) => ErrorReply::Unreadable(error),
     }
 }
 

@@ -37,7 +37,7 @@ pub struct Identity {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("identity {}: {problem}", .folder.display())]
 pub struct IdentityError {
-    /// The folder.
+    /// The folder that was to hold an identity.
     pub folder: PathBuf,
     /// The problem, and what was expected.
     pub problem: String,

@@ -8,7 +8,6 @@
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::marker::PhantomData;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -27,8 +26,8 @@ use zenoh::{Session, Wait};
 use super::flow::Departures;
 use super::inbox::Complaints;
 use super::{Bus, BusError};
-use crate::codec::{self, Encoding};
-use crate::topics::Topic;
+use crate::codec::{self, CodecError, Encoding};
+use crate::topics::{Encode, Topic, Untyped};
 
 /// The sequence number of a key's last value is repeated after this time, and after twice, four times as long, …, so that a subscriber that
 /// lost the value requests it.
@@ -40,15 +39,20 @@ const FIRST_SOURCE: EntityId = 1 << 31;
 
 /// Publishes on the keys of a topic that match a pattern, and keeps the last values of the newest keys.
 pub struct KeyedPublisher<T> {
+    outlet: Outlet,
+    encode: Encode<T>,
+}
+
+/// The part of a keyed publisher that does not depend on the type of its messages.
+struct Outlet {
     session: Session,
-    topic: Topic<T>,
+    topic: Untyped,
     kept: Arc<Mutex<Kept>>,
     failures: Complaints,
     flow: Departures,
     heartbeat: JoinHandle<()>,
     _cache: Queryable<()>,
     _token: LivelinessToken,
-    message: PhantomData<fn(&T)>,
 }
 
 /// The newest keys and their last values.
@@ -76,12 +80,12 @@ struct Value {
 impl<T> fmt::Debug for KeyedPublisher<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("KeyedPublisher")
-            .field("pattern", &self.topic.pattern)
+            .field("pattern", &self.outlet.topic.pattern)
             .finish_non_exhaustive()
     }
 }
 
-impl<T> Drop for KeyedPublisher<T> {
+impl Drop for Outlet {
     fn drop(&mut self) {
         self.heartbeat.abort();
     }
@@ -99,6 +103,13 @@ impl Bus {
         chunks: &[&str],
         most: usize,
     ) -> Result<KeyedPublisher<T>, BusError> {
+        Ok(KeyedPublisher {
+            outlet: self.keyed_outlet(topic.untyped(), chunks, most)?,
+            encode: topic.encode,
+        })
+    }
+
+    fn keyed_outlet(&self, topic: Untyped, chunks: &[&str], most: usize) -> Result<Outlet, BusError> {
         let zid = self.session.zid();
         let kept = Arc::new(Mutex::new(Kept {
             values: VecDeque::new(),
@@ -136,16 +147,15 @@ impl Bus {
                 }
             }
         });
-        Ok(KeyedPublisher {
+        Ok(Outlet {
             session: self.session.clone(),
-            topic: *topic,
+            topic,
             kept,
             failures: Complaints::default(),
             flow: Departures::new(self, topic.pattern),
             heartbeat,
             _cache: cache,
             _token: token,
-            message: PhantomData,
         })
     }
 }
@@ -153,7 +163,13 @@ impl Bus {
 impl<T: Serialize> KeyedPublisher<T> {
     /// Publishes a value on the key with these chunks, from any thread; the order is kept. Failures are counted, and logged now and then.
     pub fn put(&self, chunks: &[&str], message: &T) {
-        let Err(reason) = self.try_put(self.topic.key(chunks), message) else {
+        self.outlet.put(chunks, (self.encode)(message));
+    }
+}
+
+impl Outlet {
+    fn put(&self, chunks: &[&str], encoded: Result<Vec<u8>, CodecError>) {
+        let Err(reason) = self.try_put(self.topic.key(chunks), encoded) else {
             return;
         };
         self.flow.failed();
@@ -162,8 +178,9 @@ impl<T: Serialize> KeyedPublisher<T> {
         }
     }
 
-    fn try_put(&self, key: String, message: &T) -> Result<(), String> {
-        let bytes = codec::encode_within(message, self.topic.encoding, self.topic.max_bytes)
+    fn try_put(&self, key: String, encoded: Result<Vec<u8>, CodecError>) -> Result<(), String> {
+        let bytes = encoded
+            .and_then(|bytes| codec::within(bytes, self.topic.max_bytes))
             .map_err(|error| error.to_string())?;
         let key = Bus::key(key).map_err(|error| error.to_string())?;
         let (zid, size) = (self.session.zid(), bytes.len());

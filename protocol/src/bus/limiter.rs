@@ -18,7 +18,7 @@ use super::publish::kept;
 use super::rate::{Admission, FasterTime, RateLimit};
 use super::subscribe::decode_sample;
 use crate::messages::SimClock;
-use crate::topics::{SIM_CLOCK, Topic};
+use crate::topics::{SIM_CLOCK, Untyped};
 
 /// The time of a session by which rates are limited: wall time, or simulated time where it runs faster.
 #[derive(Debug)]
@@ -50,7 +50,7 @@ impl Pace {
         }
         let pace = Arc::clone(self);
         let heard = move |sample: Sample| {
-            if let Ok(SimClock { stamp }) = decode_sample(&sample, SIM_CLOCK.max_bytes) {
+            if let Ok(SimClock { stamp }) = decode_sample(&sample, SIM_CLOCK.decode, SIM_CLOCK.max_bytes) {
                 lock(&pace.simulated).hear(pace.start.elapsed(), stamp);
             }
         };
@@ -74,7 +74,7 @@ pub(super) struct Limiter {
 
 impl Limiter {
     /// The limiter of a topic; `None` if it is never limited.
-    pub(super) fn of<T>(bus: &Bus, topic: &Topic<T>) -> Option<Self> {
+    pub(super) fn of(bus: &Bus, topic: Untyped) -> Option<Self> {
         let rate = topic.rate?;
         bus.pace.follow(&bus.session);
         Some(Self {

@@ -10,7 +10,6 @@
 //! receiving threads than by default ([`threads`]).
 
 use std::fmt;
-use std::marker::PhantomData;
 use std::time::Duration;
 
 use serde::Serialize;
@@ -23,21 +22,26 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 use super::flow::Departures;
 use super::inbox::Complaints;
 use super::{Bus, BusError, threads};
-use crate::codec::{self, Encoding};
-use crate::topics::{Qos, Topic};
+use crate::codec::{self, CodecError, Encoding};
+use crate::topics::{Encode, Qos, Topic, Untyped};
 
 /// Period at which an advanced publisher repeats the number of its last sample: the delay until the loss of a last sample is noticed.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
 /// Publishes on one key of a topic.
 pub struct Publisher<T> {
+    outlet: Outlet,
+    encode: Encode<T>,
+}
+
+/// The part of a publisher that does not depend on the type of its messages: it is compiled once, not for each type.
+struct Outlet {
     carrier: Carrier,
     encoding: Encoding,
     max_bytes: usize,
     key: String,
     failures: Complaints,
     flow: Departures,
-    message: PhantomData<fn(&T)>,
 }
 
 pub(super) enum Carrier {
@@ -48,7 +52,7 @@ pub(super) enum Carrier {
 impl<T> fmt::Debug for Publisher<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Publisher")
-            .field("key", &self.key)
+            .field("key", &self.outlet.key)
             .finish_non_exhaustive()
     }
 }
@@ -59,6 +63,13 @@ impl Bus {
     /// # Errors
     /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn publisher<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Publisher<T>, BusError> {
+        Ok(Publisher {
+            outlet: self.outlet(topic.untyped(), chunks)?,
+            encode: topic.encode,
+        })
+    }
+
+    fn outlet(&self, topic: Untyped, chunks: &[&str]) -> Result<Outlet, BusError> {
         let key = topic.key(chunks);
         let key_expr = Self::key(key.clone())?;
         if key_expr.is_wild() {
@@ -68,14 +79,13 @@ impl Bus {
             });
         }
         let carrier = self.carrier(key_expr, topic.qos, topic.encoding)?;
-        Ok(Publisher {
+        Ok(Outlet {
             carrier,
             encoding: topic.encoding,
             max_bytes: topic.max_bytes,
             key,
             failures: Complaints::default(),
             flow: Departures::new(self, topic.pattern),
-            message: PhantomData,
         })
     }
 
@@ -133,8 +143,14 @@ impl<T: Serialize> Publisher<T> {
 
     /// As [`Self::put`], with the trace of the value attached, if it has one.
     pub fn put_in(&self, trace: Option<Context>, message: &T) {
+        self.outlet.put(trace, (self.encode)(message));
+    }
+}
+
+impl Outlet {
+    fn put(&self, trace: Option<Context>, encoded: Result<Vec<u8>, CodecError>) {
         let attachment = trace.map(|trace| ZBytes::from(trace.to_string()));
-        let failure = match codec::encode_within(message, self.encoding, self.max_bytes) {
+        let failure = match encoded.and_then(|bytes| codec::within(bytes, self.max_bytes)) {
             Ok(bytes) => {
                 self.flow.published(bytes.len());
                 self.put_bytes(bytes, attachment).err().map(|error| error.to_string())
@@ -160,29 +176,33 @@ impl<T: Serialize> Publisher<T> {
             put()
         }
     }
-}
 
-impl<T> Publisher<T> {
-    /// The key of the publisher.
-    #[must_use]
-    pub fn key(&self) -> &str {
-        &self.key
-    }
-
-    /// Whether there may be a subscriber, as far as this session knows: lets a writer skip costly computations without readers. Right after
-    /// the declaration the session may not know of any subscriber yet.
-    #[must_use]
-    pub fn may_be_heard(&self) -> bool {
+    fn may_be_heard(&self) -> bool {
         let status = match &self.carrier {
             Carrier::Plain(publisher) => publisher.matching_status().wait(),
             Carrier::Advanced(publisher) => publisher.matching_status().wait(),
         };
         status.map_or(true, |status| status.matching())
     }
+}
+
+impl<T> Publisher<T> {
+    /// The key of the publisher.
+    #[must_use]
+    pub fn key(&self) -> &str {
+        &self.outlet.key
+    }
+
+    /// Whether there may be a subscriber, as far as this session knows: lets a writer skip costly computations without readers. Right after
+    /// the declaration the session may not know of any subscriber yet.
+    #[must_use]
+    pub fn may_be_heard(&self) -> bool {
+        self.outlet.may_be_heard()
+    }
 
     /// Number of values that could not be published.
     #[must_use]
     pub fn failures(&self) -> u64 {
-        self.failures.count()
+        self.outlet.failures.count()
     }
 }

@@ -51,11 +51,11 @@ impl fmt::Display for Act {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{member} may not {act} {key}: {}", expected(.others))]
 pub struct Denied {
-    /// The member.
+    /// Whose rights do not suffice.
     pub member: Member,
     /// What it was about to do.
     pub act: Act,
-    /// The key.
+    /// The key that it was to be done on, wildcards included.
     pub key: String,
     /// Members that may, such as `operator.NAME`; a router, which may do everything, only if no other member may.
     pub others: Vec<String>,

@@ -4,7 +4,6 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::marker::PhantomData;
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -21,7 +20,7 @@ use super::{Bus, BusError, threads};
 use crate::SCHEMA_VERSION;
 use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
-use crate::topics::{Ask, Asker, CLOUD_INFO, EDGE_INFO, MESSAGE_SCHEMA, PART_INFO, STOP, row_of};
+use crate::topics::{Ask, Asker, CLOUD_INFO, Decode, EDGE_INFO, EncodeAs, MESSAGE_SCHEMA, PART_INFO, STOP, row_of};
 
 /// Selector parameter with the schema version of the program that asks. Without it, as from plain Zenoh tools, any request is read.
 pub(super) const SCHEMA: &str = "schema";
@@ -32,8 +31,14 @@ const BULK: usize = 32 * 1024;
 
 /// Receives the requests of one ask.
 pub struct Server<Q, R> {
-    inbox: Arc<Inbox<Queue<Query>>>,
+    desk: Desk,
     ask: Ask<Q, R>,
+}
+
+/// The part of a server that does not depend on the types of its requests and replies: it is compiled once, not for each type.
+struct Desk {
+    inbox: Arc<Inbox<Queue<Query>>>,
+    pattern: &'static str,
     key: KeyExpr<'static>,
     flow: Arrivals,
     _queryable: Queryable<()>,
@@ -41,7 +46,9 @@ pub struct Server<Q, R> {
 
 impl<Q, R> fmt::Debug for Server<Q, R> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Server").field("key", &self.key).finish_non_exhaustive()
+        f.debug_struct("Server")
+            .field("key", &self.desk.key)
+            .finish_non_exhaustive()
     }
 }
 
@@ -51,10 +58,16 @@ impl Bus {
     /// # Errors
     /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn serve<Q, R>(&self, ask: &Ask<Q, R>, chunks: &[&str]) -> Result<Server<Q, R>, BusError> {
-        let key = Self::key(ask.key(chunks))?;
-        let flow = Arrivals::new(self, ask.pattern);
+        Ok(Server {
+            desk: self.desk(ask.pattern, ask.key(chunks), ask.max_bytes)?,
+            ask: *ask,
+        })
+    }
+
+    fn desk(&self, pattern: &'static str, key: String, limit: usize) -> Result<Desk, BusError> {
+        let key = Self::key(key)?;
+        let flow = Arrivals::new(self, pattern);
         let (inbox, slot) = Inbox::gauged(Queue::new(MAX_WAITING), flow.waiting.clone());
-        let limit = ask.max_bytes;
         let arrived = flow.clone();
         let queryable = self
             .session
@@ -76,9 +89,9 @@ impl Bus {
                 }
             })
             .wait();
-        Ok(Server {
+        Ok(Desk {
             inbox,
-            ask: *ask,
+            pattern,
             key,
             flow,
             _queryable: self.declared(queryable)?,
@@ -91,16 +104,38 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
     /// one without a payload on a key with wildcards, unless the ask changes nothing.
     pub async fn next(&mut self) -> Option<Request<Q, R>> {
         loop {
+            let (key, query) = self.desk.next().await?;
+            match read_body(&query, self.ask.decode_request, self.ask.max_bytes) {
+                Ok(body) => {
+                    return Some(Request {
+                        body,
+                        chunks: self.ask.chunks(key.as_str()),
+                        parameters: parameters_of(&query),
+                        key,
+                        query,
+                        encode: self.ask.encode_reply,
+                    });
+                }
+                Err(error) => self.desk.refuse_body(&query, &error),
+            }
+        }
+    }
+}
+
+impl Desk {
+    /// Waits for the next request whose body may be decoded, with the key to reply on.
+    async fn next(&mut self) -> Option<(KeyExpr<'static>, Query)> {
+        loop {
             let query = self.inbox.next().await?;
-            match self.read(&query) {
-                Ok((key, body)) => return Some(self.request(key, body, query)),
+            match self.admit(&query) {
+                Ok(key) => return Some((key, query)),
                 Err(refusal) => refuse(&query, &refusal),
             }
         }
     }
 
-    /// The key to reply on, and the decoded request.
-    fn read(&self, query: &Query) -> Result<(KeyExpr<'static>, Q), Refusal> {
+    /// The key to reply on.
+    fn admit(&self, query: &Query) -> Result<KeyExpr<'static>, Refusal> {
         let key = if !self.key.is_wild() {
             self.key.clone()
         } else if !query.key_expr().is_wild() {
@@ -112,46 +147,41 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
             .parameters()
             .get(SCHEMA)
             .and_then(|schema| schema.parse::<u32>().ok());
-        if let Some(theirs) = theirs.filter(|theirs| *theirs != SCHEMA_VERSION && !suits_every_schema(self.ask.pattern))
-        {
+        if let Some(theirs) = theirs.filter(|theirs| *theirs != SCHEMA_VERSION && !suits_every_schema(self.pattern)) {
             return Err(Refusal::bad_request(format!(
                 "the program that asks speaks schema {theirs}, this one ({}) schema {SCHEMA_VERSION}: expected the same",
                 env!("CARGO_PKG_VERSION")
             )));
         }
         // Otherwise somebody who looks at `zenav/**` would stop a robot and cancel its goal.
-        let is_read = row_of(self.ask.pattern).is_some_and(|row| row.asked_by == Some(Asker::Viewer));
+        let is_read = row_of(self.pattern).is_some_and(|row| row.asked_by == Some(Asker::Viewer));
         if is_empty(query) && query.key_expr().is_wild() && !is_read {
             return Err(Refusal::bad_request(
                 "a request on a key with wildcards: expected a payload, at least `{}`",
             ));
         }
-        match read_body(query, self.ask.max_bytes) {
-            Ok(body) => Ok((key, body)),
-            Err(CodecError::TooLarge { limit, .. }) => Err(Refusal::TooLarge { limit }),
-            Err(error) => {
-                self.flow.refused(&error);
-                Err(Refusal::bad_request(error.to_string()))
-            }
-        }
+        Ok(key)
     }
 
-    fn request(&self, key: KeyExpr<'static>, body: Q, query: Query) -> Request<Q, R> {
-        let parameters = query
-            .parameters()
-            .iter()
-            .filter(|(name, _)| *name != SCHEMA)
-            .map(|(name, value)| (name.to_owned(), value.to_owned()))
-            .collect();
-        Request {
-            body,
-            chunks: self.ask.chunks(key.as_str()),
-            parameters,
-            key,
-            query,
-            reply: PhantomData,
-        }
+    fn refuse_body(&self, query: &Query, error: &CodecError) {
+        let refusal = match error {
+            CodecError::TooLarge { limit, .. } => Refusal::TooLarge { limit: *limit },
+            _ => {
+                self.flow.refused(error);
+                Refusal::bad_request(error)
+            }
+        };
+        refuse(query, &refusal);
     }
+}
+
+fn parameters_of(query: &Query) -> BTreeMap<String, String> {
+    query
+        .parameters()
+        .iter()
+        .filter(|(name, _)| *name != SCHEMA)
+        .map(|(name, value)| (name.to_owned(), value.to_owned()))
+        .collect()
 }
 
 /// Whether programs of any schema may send the request: a stop is always obeyed, info tells the versions, and the schema the differences.
@@ -171,15 +201,15 @@ fn is_empty(query: &Query) -> bool {
 }
 
 /// Decodes a request. An empty payload means `{}`, or `null` if the request type accepts that.
-fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, CodecError> {
+fn read_body<Q>(query: &Query, decode: Decode<Q>, max_bytes: usize) -> Result<Q, CodecError> {
     match query.payload().filter(|payload| !payload.is_empty()) {
-        Some(payload) => codec::decode(
+        Some(payload) => decode(
             &payload.to_bytes(),
             query.encoding().map_or(Encoding::Json, encoding_of),
             max_bytes,
         ),
-        None => codec::decode(b"{}", Encoding::Json, max_bytes)
-            .or_else(|error| codec::decode(b"null", Encoding::Json, max_bytes).map_err(|_| error)),
+        None => decode(b"{}", Encoding::Json, max_bytes)
+            .or_else(|error| decode(b"null", Encoding::Json, max_bytes).map_err(|_| error)),
     }
 }
 
@@ -193,7 +223,7 @@ pub struct Request<Q, R> {
     pub parameters: BTreeMap<String, String>,
     key: KeyExpr<'static>,
     query: Query,
-    reply: PhantomData<fn(&R)>,
+    encode: EncodeAs<R>,
 }
 
 impl<Q: fmt::Debug, R> fmt::Debug for Request<Q, R> {
@@ -213,7 +243,7 @@ impl<Q, R: Serialize> Request<Q, R> {
         } else {
             Encoding::Json
         };
-        match codec::encode(reply, encoding) {
+        match (self.encode)(reply, encoding) {
             Ok(bytes) => self.reply_bytes(bytes, encoding.mime()),
             Err(error) => self.refuse(&Refusal::internal(error)),
         }
@@ -223,20 +253,24 @@ impl<Q, R: Serialize> Request<Q, R> {
 impl<Q, R> Request<Q, R> {
     /// Replies with bytes of any encoding, such as `image/png`.
     pub fn reply_bytes(self, bytes: Vec<u8>, mime: &str) {
-        let is_bulk = bytes.len() > BULK;
-        let reply = self.query.reply(&self.key, bytes).encoding(Wire::from(mime));
-        let result = if is_bulk {
-            threads::waiting_for_room(|| reply.wait())
-        } else {
-            reply.wait()
-        };
-        sent(&self.query, result);
+        reply_with(&self.query, &self.key, bytes, mime);
     }
 
     /// Refuses the request, with the reason.
     pub fn refuse(self, refusal: &Refusal) {
         refuse(&self.query, refusal);
     }
+}
+
+fn reply_with(query: &Query, key: &KeyExpr<'static>, bytes: Vec<u8>, mime: &str) {
+    let is_bulk = bytes.len() > BULK;
+    let reply = query.reply(key, bytes).encoding(Wire::from(mime));
+    let result = if is_bulk {
+        threads::waiting_for_room(|| reply.wait())
+    } else {
+        reply.wait()
+    };
+    sent(query, result);
 }
 
 fn refuse(query: &Query, refusal: &Refusal) {

@@ -14,7 +14,7 @@ use crate::topics::{Ask, AskVisitor, PartAsks};
 /// A request in the core's own type, and the responder to its client.
 #[derive(Debug)]
 pub struct Call<P: PartAsks> {
-    /// The request.
+    /// What the client asked, in the core's own type.
     pub request: P,
     /// Responder for the reply.
     pub responder: Responder<P>,
@@ -24,7 +24,7 @@ pub struct Call<P: PartAsks> {
 pub struct Responder<P: PartAsks>(Box<dyn FnOnce(Result<P::Reply, Refusal>) + Send + Sync>);
 
 impl<P: PartAsks> Responder<P> {
-    /// Replies or refuses.
+    /// Sends the reply or the refusal; there is only one.
     pub fn send(self, reply: Result<P::Reply, Refusal>) {
         (self.0)(reply);
     }

@@ -137,7 +137,7 @@ pub enum BusError {
         "{endpoint} can be reached by other machines, which could then command every robot: expected an identity (`--identity FOLDER`, made by `zenav keys`), an address of loopback, or `--insecure`"
     )]
     Exposed {
-        /// The endpoint.
+        /// The endpoint that was to be opened.
         endpoint: String,
     },
     /// An endpoint is malformed, does not match the identity, or none is configured.

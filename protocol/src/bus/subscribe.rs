@@ -19,8 +19,8 @@ use super::inbox::{Complaints, Inbox, Newest, Queue, Slot, Store};
 use super::limiter::Limiter;
 use super::publish::kept;
 use super::{Bus, BusError};
-use crate::codec::{self, CodecError, Encoding};
-use crate::topics::{Qos, Topic};
+use crate::codec::{CodecError, Encoding};
+use crate::topics::{Decode, Qos, Topic, Untyped};
 
 /// Time limit for fetching a publisher's past samples; newer samples wait meanwhile.
 pub(super) const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
@@ -43,20 +43,28 @@ pub(super) enum Carrier {
     Advanced(AdvancedSubscriber<()>),
 }
 
-/// Decodes samples, and counts those that cannot be decoded.
-struct Reader<T> {
-    topic: Topic<T>,
+type NewestSamples = Newest<KeyExpr<'static>, Sample>;
+type AllSamples = Queue<Sample>;
+
+/// The part of a subscription that does not depend on the type of its messages: it is compiled once, not for each type.
+struct Intake {
     unreadable: Arc<Complaints>,
     flow: Arrivals,
     _carrier: Carrier,
 }
 
-impl<T: DeserializeOwned> Reader<T> {
+/// Decodes samples, and counts those that cannot be decoded.
+struct Reader<T> {
+    topic: Topic<T>,
+    intake: Intake,
+}
+
+impl<T> Reader<T> {
     fn read(&self, sample: &Sample) -> Option<T> {
-        match decode_sample(sample, self.topic.max_bytes) {
+        match decode_sample(sample, self.topic.decode, self.topic.max_bytes) {
             Ok(message) => Some(message),
             Err(error) => {
-                complain(&self.unreadable, &self.flow, sample.key_expr(), &error);
+                complain(&self.intake.unreadable, &self.intake.flow, sample.key_expr(), &error);
                 None
             }
         }
@@ -67,16 +75,19 @@ impl<T: DeserializeOwned> Reader<T> {
         Some(Received {
             message: self.read(sample)?,
             chunks: self.topic.chunks(sample.key_expr().as_str()),
-            trace: sample
-                .attachment()
-                .and_then(|attached| Context::parse(&attached.to_bytes())),
+            trace: trace_of(sample),
         })
     }
 }
 
+fn trace_of(sample: &Sample) -> Option<Context> {
+    let attached = sample.attachment()?;
+    Context::parse(&attached.to_bytes())
+}
+
 /// Decodes a sample by its own encoding.
-pub(super) fn decode_sample<T: DeserializeOwned>(sample: &Sample, max_bytes: usize) -> Result<T, CodecError> {
-    codec::decode(&sample.payload().to_bytes(), encoding_of(sample.encoding()), max_bytes)
+pub(super) fn decode_sample<T>(sample: &Sample, decode: Decode<T>, max_bytes: usize) -> Result<T, CodecError> {
+    decode(&sample.payload().to_bytes(), encoding_of(sample.encoding()), max_bytes)
 }
 
 /// The sample's encoding; avoids building its name for the two encodings in use.
@@ -104,16 +115,21 @@ impl Bus {
     /// # Errors
     /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn latest<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Latest<T>, BusError> {
-        let flow = Arrivals::new(self, topic.pattern);
-        let (inbox, slot) = Inbox::gauged(Newest::new(), flow.waiting.clone());
-        let reader = self.read(topic, chunks, (slot, flow), |sample| {
-            (sample.key_expr().clone(), sample)
-        })?;
+        let (inbox, intake) = self.newest_samples(topic.untyped(), chunks)?;
         Ok(Latest {
             inbox,
-            reader,
+            reader: Reader { topic: *topic, intake },
             current: None,
         })
+    }
+
+    fn newest_samples(&self, topic: Untyped, chunks: &[&str]) -> Result<(Arc<Inbox<NewestSamples>>, Intake), BusError> {
+        let flow = Arrivals::new(self, topic.pattern);
+        let (inbox, slot) = Inbox::gauged(Newest::new(), flow.waiting.clone());
+        let intake = self.intake(topic, chunks, (slot, flow), |sample| {
+            (sample.key_expr().clone(), sample)
+        })?;
+        Ok((inbox, intake))
     }
 
     /// Subscribes to all values of the topic on the key with these chunks (a chunk may be `*`), in order for each publisher. At most
@@ -127,19 +143,32 @@ impl Bus {
         chunks: &[&str],
         capacity: usize,
     ) -> Result<Subscription<T>, BusError> {
-        let flow = Arrivals::new(self, topic.pattern);
-        let (inbox, slot) = Inbox::gauged(Queue::new(capacity), flow.waiting.clone());
-        let reader = self.read(topic, chunks, (slot, flow), |sample| sample)?;
-        Ok(Subscription { inbox, reader })
+        let (inbox, intake) = self.all_samples(topic.untyped(), chunks, capacity)?;
+        Ok(Subscription {
+            inbox,
+            reader: Reader { topic: *topic, intake },
+        })
     }
 
-    fn read<T, S>(
+    fn all_samples(
         &self,
-        topic: &Topic<T>,
+        topic: Untyped,
+        chunks: &[&str],
+        capacity: usize,
+    ) -> Result<(Arc<Inbox<AllSamples>>, Intake), BusError> {
+        let flow = Arrivals::new(self, topic.pattern);
+        let (inbox, slot) = Inbox::gauged(Queue::new(capacity), flow.waiting.clone());
+        let intake = self.intake(topic, chunks, (slot, flow), |sample| sample)?;
+        Ok((inbox, intake))
+    }
+
+    fn intake<S>(
+        &self,
+        topic: Untyped,
         chunks: &[&str],
         (slot, flow): (Slot<S>, Arrivals),
         item: fn(Sample) -> S::Item,
-    ) -> Result<Reader<T>, BusError>
+    ) -> Result<Intake, BusError>
     where
         S: Store + Send + 'static,
         S::Item: Send,
@@ -184,8 +213,7 @@ impl Bus {
                 Carrier::Advanced(self.declared(advanced.wait())?)
             }
         };
-        Ok(Reader {
-            topic: *topic,
+        Ok(Intake {
             unreadable,
             flow,
             _carrier: carrier,
@@ -195,7 +223,7 @@ impl Bus {
 
 /// The newest value of a topic; with a wildcard, of each matching key. Usable from any thread.
 pub struct Latest<T> {
-    inbox: Arc<Inbox<Newest<KeyExpr<'static>, Sample>>>,
+    inbox: Arc<Inbox<NewestSamples>>,
     reader: Reader<T>,
     current: Option<T>,
 }
@@ -211,12 +239,22 @@ impl<T> fmt::Debug for Latest<T> {
 impl<T: DeserializeOwned> Latest<T> {
     /// Takes the newest value, unless it was taken before; never waits. With a wildcard, the keys take turns.
     pub fn take(&mut self) -> Option<T> {
-        std::iter::from_fn(|| self.inbox.try_next()).find_map(|(_, sample)| self.reader.read(&sample))
+        loop {
+            let (_, sample) = self.inbox.try_next()?;
+            if let Some(message) = self.reader.read(&sample) {
+                return Some(message);
+            }
+        }
     }
 
     /// As [`Self::take`], with the key's chunks.
     pub fn take_received(&mut self) -> Option<Received<T>> {
-        std::iter::from_fn(|| self.inbox.try_next()).find_map(|(_, sample)| self.reader.received(&sample))
+        loop {
+            let (_, sample) = self.inbox.try_next()?;
+            if let Some(received) = self.reader.received(&sample) {
+                return Some(received);
+            }
+        }
     }
 
     /// The newest value, whether or not it was borrowed before; a value taken by [`Self::take`] is not returned again.
@@ -245,13 +283,13 @@ impl<T: DeserializeOwned> Latest<T> {
     /// Number of payloads that were too large or could not be decoded.
     #[must_use]
     pub fn unreadable(&self) -> u64 {
-        self.reader.unreadable.count()
+        self.reader.intake.unreadable.count()
     }
 }
 
 /// All values of a topic, in order.
 pub struct Subscription<T> {
-    inbox: Arc<Inbox<Queue<Sample>>>,
+    inbox: Arc<Inbox<AllSamples>>,
     reader: Reader<T>,
 }
 
@@ -276,7 +314,12 @@ impl<T: DeserializeOwned> Subscription<T> {
 
     /// The next value, if there is one; never waits.
     pub fn try_next(&mut self) -> Option<Received<T>> {
-        std::iter::from_fn(|| self.inbox.try_next()).find_map(|sample| self.reader.received(&sample))
+        loop {
+            let sample = self.inbox.try_next()?;
+            if let Some(received) = self.reader.received(&sample) {
+                return Some(received);
+            }
+        }
     }
 
     /// Number of values dropped because the reader was too slow.
@@ -288,6 +331,6 @@ impl<T: DeserializeOwned> Subscription<T> {
     /// Number of payloads that were too large or could not be decoded.
     #[must_use]
     pub fn unreadable(&self) -> u64 {
-        self.reader.unreadable.count()
+        self.reader.intake.unreadable.count()
     }
 }

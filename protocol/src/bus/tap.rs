@@ -41,7 +41,7 @@ pub fn matches(pattern: &str, key: &str) -> bool {
 /// A sample with its attachment and arrival time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tapped {
-    /// The sample.
+    /// Key, payload, encoding and stamp, as they came.
     pub sample: RawSample,
     /// Attachment by its publisher.
     pub attachment: Option<Vec<u8>>,

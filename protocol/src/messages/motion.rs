@@ -368,6 +368,29 @@ pub struct SearchTree {
     pub path: Vec<Point2<f64>>,
 }
 
+/// Checks the `backwards` of a path with this many corner points: indices of its legs, ascending.
+///
+/// ```
+/// use zenav_protocol::messages::check_backwards;
+///
+/// // Three corner points have two legs.
+/// assert!(check_backwards(&[0, 1], 3).is_ok());
+/// assert!(check_backwards(&[2], 3).is_err());
+/// ```
+///
+/// # Errors
+/// What was expected.
+pub fn check_backwards(backwards: &[usize], corners: usize) -> Result<(), String> {
+    let legs = corners.saturating_sub(1);
+    if backwards.is_sorted_by(|a, b| a < b) && backwards.last().is_none_or(|last| *last < legs) {
+        Ok(())
+    } else {
+        Err(format!(
+            "`backwards`: expected indices of the path's {legs} legs, ascending"
+        ))
+    }
+}
+
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
 fn is_none(tolerance: &f64) -> bool {
     *tolerance == 0.0

@@ -1,4 +1,4 @@
-//! Refusals. Why was a request refused, and what exit code does the command return?
+//! Refusals. Why was a request refused?
 
 use std::fmt::Display;
 

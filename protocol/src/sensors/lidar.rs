@@ -1,7 +1,7 @@
 //! Planar lidar. What is its field of view, what does a sweep contain, and what is published?
 //!
 //! A robot has any number of lidars, each with a name and a mount. A robot file's `[lidar]` is the one named
-//! [`DEFAULT_LIDAR`]; further ones are `[lidars.NAME]`.
+//! [`DEFAULT_LIDAR`]; others are `[lidars.NAME]`. Which one is the main lidar: `RobotModel::is_main_lidar`.
 
 use std::f64::consts::{PI, TAU};
 

@@ -22,8 +22,8 @@ pub struct Lidar {
     name: String,
     model: LidarModel,
     /// The beams, in the order of their times.
-    parts: Vec<Part>,
-    /// Number of parts of the present sweep that are measured.
+    groups: Vec<BeamGroup>,
+    /// Number of groups of the present sweep that are measured.
     measured: usize,
     /// Time and pose of the base at the last step.
     last: Option<(Stamp, Pose2)>,
@@ -34,7 +34,7 @@ pub struct Lidar {
 
 /// Neighbouring beams that are measured together.
 #[derive(Clone, Debug)]
-struct Part {
+struct BeamGroup {
     first: usize,
     buffer: AngularBuffer,
     /// Time from here to the end of the sweep, s.
@@ -51,19 +51,19 @@ impl Lidar {
         } else {
             beams
         };
-        let parts = (0..beams).step_by(together).map(|first| {
+        let groups = (0..beams).step_by(together).map(|first| {
             let end = (first + together).min(beams);
-            Part {
+            BeamGroup {
                 first,
                 buffer: AngularBuffer::of_beams(&model, first..end),
                 before_end: model.before_end(0.5 * (first + end - 1) as f64),
             }
         });
-        let mut parts: Vec<Part> = parts.collect();
-        parts.sort_by(|a, b| b.before_end.total_cmp(&a.before_end));
+        let mut groups: Vec<BeamGroup> = groups.collect();
+        groups.sort_by(|a, b| b.before_end.total_cmp(&a.before_end));
         Self {
             name: name.to_owned(),
-            parts,
+            groups,
             measured: 0,
             last: None,
             rng,
@@ -78,8 +78,8 @@ impl Lidar {
         let here = moment.map_from_base();
         let (before, there) = self.last.replace((moment.now, here)).unwrap_or((moment.now, here));
         let step = moment.now.secs_since(before);
-        while let Some(part) = self.parts.get_mut(self.measured) {
-            let ago = moment.now.secs_since(end) + part.before_end;
+        while let Some(group) = self.groups.get_mut(self.measured) {
+            let ago = moment.now.secs_since(end) + group.before_end;
             if ago < 0.0 {
                 break;
             }
@@ -88,9 +88,9 @@ impl Lidar {
             } else {
                 here
             };
-            part.buffer.begin(map_from_base * self.model.mount);
-            part.buffer.scene(moment.around.scene);
-            part.buffer.crowd(moment.around.crowd, moment.around.own);
+            group.buffer.begin(map_from_base * self.model.mount);
+            group.buffer.scene(moment.around.scene);
+            group.buffer.crowd(moment.around.crowd, moment.around.own);
             self.measured += 1;
         }
     }
@@ -102,9 +102,9 @@ impl Lidar {
             dropout: fault.dropout(self.model.dropout),
             ..self.model.clone()
         };
-        let mut parts: Vec<&Part> = self.parts.iter().collect();
-        parts.sort_by_key(|part| part.first);
-        let truth = parts.into_iter().flat_map(|part| part.buffer.ranges());
+        let mut groups: Vec<&BeamGroup> = self.groups.iter().collect();
+        groups.sort_by_key(|group| group.first);
+        let truth = groups.into_iter().flat_map(|group| group.buffer.ranges());
         let mut ranges = Vec::with_capacity(model.beams);
         measure(&model, truth, &mut self.rng, &mut ranges);
         Sweep {

@@ -38,7 +38,7 @@ pub enum SimError {
     /// The place lies outside the part intended for driving.
     #[error("robot `{robot}` cannot stand at ({}, {}): the world reaches from ({}, {}) to ({}, {})", Number(at.x), Number(at.y), low.x, low.y, high.x, high.y)]
     Outside {
-        /// The robot.
+        /// Name of the robot.
         robot: Id,
         /// Where, m.
         at: Point2<f64>,
@@ -50,7 +50,7 @@ pub enum SimError {
     /// Something occupies the place: choose another one.
     #[error("robot `{robot}` cannot stand at ({}, {}): something stands there", Number(*x), Number(*y))]
     Occupied {
-        /// The robot.
+        /// Name of the robot.
         robot: Id,
         /// m.
         x: f64,
@@ -62,7 +62,7 @@ pub enum SimError {
     Fault {
         /// File and line of the fault.
         at: String,
-        /// The sensor.
+        /// Name that the fault gives.
         sensor: String,
         /// The sensors that there are.
         known: String,
@@ -72,7 +72,7 @@ pub enum SimError {
     FaultOfNobody {
         /// File and line of the fault.
         at: String,
-        /// The robot.
+        /// Name of the robot.
         robot: Id,
         /// The robots that there are.
         known: String,

@@ -19,7 +19,7 @@ pub enum Size {
 }
 
 /// A part of the contract: its rules, and its model with and without each of them.
-pub trait Part {
+pub trait ContractModel {
     /// The rules of the part.
     type Rule: Copy + Debug + PartialEq + Send + Sync + 'static;
     /// Bounds on the number of events.

@@ -7,12 +7,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use stateright::{Model, Property};
-use zenav_mission::goals::{GoalTable, reply};
-use zenav_mission::records::{Record, StoredGoal};
+use zenav_mission::{GoalTable, Record, StoredGoal, goal_reply};
 use zenav_protocol::messages::{GoalPhase, GoalReply, GoalRequest};
 use zenav_protocol::time::Stamp;
 
-use crate::check::{Part, Size};
+use crate::check::{ContractModel, Size};
 use crate::network::Network;
 use crate::text::Text;
 
@@ -220,7 +219,7 @@ impl System {
             // Refused: the client may send a new request.
             _ => return None,
         }
-        table.keep_answer(id, reply(&table.get(GOAL)?.state));
+        table.keep_answer(id, goal_reply(&table.get(GOAL)?.state));
         Some(served)
     }
 }
@@ -426,7 +425,7 @@ impl Model for System {
 #[derive(Debug)]
 pub struct Goals;
 
-impl Part for Goals {
+impl ContractModel for Goals {
     type Rule = Rule;
     type Bounds = Bounds;
     type System = System;

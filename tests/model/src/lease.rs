@@ -21,7 +21,7 @@ use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseRequest, LeaseRole};
 use zenav_protocol::time::Stamp;
 
-use crate::check::{Part, Size};
+use crate::check::{ContractModel, Size};
 use crate::text::Text;
 
 /// Length of a tick, s: the lease survives one tick without a heartbeat and lapses with the second.
@@ -619,7 +619,7 @@ impl Model for System {
 #[derive(Debug)]
 pub struct Lease;
 
-impl Part for Lease {
+impl ContractModel for Lease {
     type Rule = Rule;
     type Bounds = Bounds;
     type System = System;

@@ -2,8 +2,8 @@
 //!
 //! Each part of the contract is a small system: a few processes, a network that delays, reorders, duplicates and loses messages, and clocks
 //! that count in ticks. Its transitions call the functions that the robot and the missions run ([`zenav_protocol::lease`],
-//! [`zenav_edge::authority`], [`zenav_edge::acceptance`], [`zenav_edge::active_plan`], [`zenav_mission::goals`], [`zenav_mission::lease`],
-//! [`zenav_mission::membership`], [`zenav_mission::standby`]); the model adds only the order of events. All orders are explored, breadth
+//! [`zenav_edge::authority`], [`zenav_edge::acceptance`], [`zenav_edge::active_plan`], [`zenav_mission::GoalTable`],
+//! [`zenav_mission::LeaseClient`], [`zenav_mission::Membership`], [`zenav_mission::judge_entry`]); the model adds only the order of events. All orders are explored, breadth
 //! first, so a violation comes with a shortest trace.
 //!
 //! A rule is disabled by altering the inputs or the answers of these functions; the functions themselves are unchanged. Events that must be
@@ -30,4 +30,4 @@ pub mod plan;
 pub mod stop;
 pub mod text;
 
-pub use check::{Outcome, Part, Size};
+pub use check::{ContractModel, Outcome, Size};

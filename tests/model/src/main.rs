@@ -5,7 +5,7 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use zenav_model::check::{Outcome, Part, Size, check};
+use zenav_model::check::{ContractModel, Outcome, Size, check};
 use zenav_model::goals::Goals;
 use zenav_model::handover::Handover;
 use zenav_model::lease::Lease;
@@ -47,7 +47,7 @@ fn main() -> ExitCode {
 }
 
 /// Checks a part and prints its tables for `docs/model.md`; returns whether it holds, and fails without each rule.
-fn part<P: Part>(arguments: &Arguments) -> bool {
+fn part<P: ContractModel>(arguments: &Arguments) -> bool {
     println!("## {}\n", P::NAME);
     let mut holds = true;
     let mut claims = Vec::new();

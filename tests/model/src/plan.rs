@@ -27,7 +27,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
 
-use crate::check::{Part, Size};
+use crate::check::{ContractModel, Size};
 use crate::lease::{TICK, boot_id, clock, config, lives, log};
 use crate::text::Text;
 
@@ -570,7 +570,7 @@ impl Model for System {
 #[derive(Debug)]
 pub struct PlanValidity;
 
-impl Part for PlanValidity {
+impl ContractModel for PlanValidity {
     type Rule = Rule;
     type Bounds = Bounds;
     type System = System;

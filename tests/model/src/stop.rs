@@ -15,7 +15,7 @@ use zenav_edge::control_io::Persisted;
 use zenav_protocol::messages::{ResumeRequest, StopReply, StopRequest};
 use zenav_protocol::time::Stamp;
 
-use crate::check::{Part, Size};
+use crate::check::{ContractModel, Size};
 use crate::lease::{boot_id, clock, config, log};
 use crate::text::Text;
 
@@ -367,7 +367,7 @@ impl Model for System {
 #[derive(Debug)]
 pub struct Stop;
 
-impl Part for Stop {
+impl ContractModel for Stop {
     type Rule = Rule;
     type Bounds = Bounds;
     type System = System;

@@ -7,14 +7,14 @@
 
 use std::collections::BTreeSet;
 
-use zenav_model::check::{Part, Size, check};
+use zenav_model::check::{ContractModel, Size, check};
 use zenav_model::goals::Goals;
 use zenav_model::handover::Handover;
 use zenav_model::lease::Lease;
 use zenav_model::plan::PlanValidity;
 use zenav_model::stop::Stop;
 
-fn holds<P: Part>() {
+fn holds<P: ContractModel>() {
     let mut missing: Option<BTreeSet<&str>> = None;
     for bounds in P::scenarios(Size::Small) {
         let outcome = check(|| P::system(bounds, None));
@@ -38,7 +38,7 @@ fn holds<P: Part>() {
     );
 }
 
-fn breaks_without_each_rule<P: Part>() {
+fn breaks_without_each_rule<P: ContractModel>() {
     let mut harmless = Vec::new();
     for (rule, says) in P::RULES {
         let outcome = check(|| P::system(P::breaks_in(*rule), Some(*rule)));

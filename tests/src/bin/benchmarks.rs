@@ -57,12 +57,12 @@ const RUNS: &[Run] = runs! {
     "smoothing": "Trajectories from planned paths, each checked", "bench -p zenav-smoothing --bench smoothing";
     "timing": "Time laws", "bench -p zenav-smoothing --bench timing";
     "mapping": "Scan insertion", "bench -p zenav-mapping --bench mapping";
-    "space": "Distance fields", "bench -p zenav-space --bench space";
+    "space": "Distance fields, and footprints beside parry", "bench -p zenav-space --bench space";
     "sight": "Lines of sight", "bench -p zenav-space --bench sight";
     "solve": "Pose graphs", "bench -p zenav-pose-graph --bench solve";
     "tick": "Behaviour trees", "bench -p zenav-behaviour-tree --bench tick";
     "avoidance": "One decision of predictive control among people", "bench -p zenav-edge --bench avoidance";
-    "collision_monitor": "One decision of the collision monitor", "bench -p zenav-edge --bench collision_monitor";
+    "collision_monitor": "One decision of the collision monitor, and its geometry beside parry", "bench -p zenav-edge --bench collision_monitor";
     "lidar": "The simulated lidar beside parry's ray cast", "bench -p zenav-sim --bench lidar";
     "simulator": "The simulator beside IR-SIM", "bench -p zenav-tests --bench simulator";
     "pipeline": "Each stage from scan to plan", "bench -p zenav-tests --bench pipeline";

@@ -7,10 +7,8 @@
 
 use nalgebra::Point2;
 use zenav_fixtures::drawn_map;
-use zenav_mapping::image;
-use zenav_mapping::map_image::{to_grid, to_pgm, to_png, to_yaml};
-use zenav_mapping::map_yaml::{MapMode, MapYaml};
-use zenav_mapping::moving_ai::{parse_map, parse_scenarios};
+use zenav_mapping::map_image::{MapMode, MapYaml, decode, to_grid, to_pgm, to_png, to_yaml};
+use zenav_mapping::{parse_moving_ai_map, parse_moving_ai_scenarios};
 use zenav_protocol::grid::OccupancyGrid;
 
 /// Between a description and its image in one input.
@@ -47,12 +45,12 @@ pub fn seeds() -> Vec<Vec<u8>> {
 /// # Panics
 /// When a map that was read cannot be written and read again.
 pub fn exercise(bytes: &[u8]) -> usize {
-    let as_image = image::decode(bytes.to_vec())
+    let as_image = decode(bytes.to_vec())
         .ok()
         .and_then(|image| to_grid(image, &MapYaml::new("", 0.05, Point2::origin())).ok());
-    let as_moving_ai = parse_map(bytes, 1.0).ok();
+    let as_moving_ai = parse_moving_ai_map(bytes, 1.0).ok();
     let maps = [as_image, as_moving_ai, described(bytes)];
-    let scenarios = parse_scenarios(bytes).is_ok_and(|scenarios| !scenarios.is_empty());
+    let scenarios = parse_moving_ai_scenarios(bytes).is_ok_and(|scenarios| !scenarios.is_empty());
     let taken = maps.iter().flatten().count() + usize::from(scenarios);
     maps.iter().flatten().for_each(write_again);
     taken
@@ -64,7 +62,7 @@ fn described(bytes: &[u8]) -> Option<OccupancyGrid> {
     let yaml = MapYaml::parse(std::str::from_utf8(&bytes[..at]).ok()?).ok()?;
     let again = MapYaml::parse(&yaml.to_text(&[])).expect("a description that was written");
     assert_eq!(again, yaml);
-    let image = image::decode(bytes[at + BETWEEN.len()..].to_vec()).ok()?;
+    let image = decode(bytes[at + BETWEEN.len()..].to_vec()).ok()?;
     to_grid(image, &yaml).ok()
 }
 
@@ -73,7 +71,7 @@ fn write_again(map: &OccupancyGrid) {
         return;
     }
     let size = |bytes: Vec<u8>| {
-        let image = image::decode(bytes).expect("an image that was written");
+        let image = decode(bytes).expect("an image that was written");
         (image.width, image.height)
     };
     let spec = map.spec();

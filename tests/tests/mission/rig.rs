@@ -10,8 +10,7 @@ use zenav_cloud::mapping::PoseSettings;
 use zenav_cloud::motion::MotionSettings;
 use zenav_edge::{EdgeConfig, Persisted, Pilot, Publication, Ticket};
 use zenav_mapping::MappingSettings;
-use zenav_mission::store::Store;
-use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswer, Record};
+use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, MissionStore, NoAnswer, Record};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::id::Id;
@@ -63,7 +62,7 @@ pub struct Rig {
     edge: EdgeConfig,
     world: World,
     folder: TempDir,
-    store: Option<Store>,
+    store: Option<MissionStore>,
     persisted: Persisted,
     boots: u32,
     ticks: u64,
@@ -194,7 +193,7 @@ impl Rig {
     /// Starts a new process of the mission.
     pub fn start(&mut self) {
         self.kill();
-        let store = Store::open(&self.folder.path().join("mission.redb"), self.config.robot.as_str()).unwrap();
+        let store = MissionStore::open(&self.folder.path().join("mission.redb"), self.config.robot.as_str()).unwrap();
         let restored = store.begin_life().unwrap();
         self.stage.robots[0].start(Mission::new(self.config.clone(), restored));
         self.store = Some(store);

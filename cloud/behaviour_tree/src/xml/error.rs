@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
-/// One error.
+/// What is wrong at one place of a tree file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, thiserror::Error)]
 #[error("{file}:{line}:{column}: {message}: expected {expected}")]
 pub struct TreeError {
@@ -14,7 +14,7 @@ pub struct TreeError {
     pub line: u32,
     /// Character of the line, from 1.
     pub column: u32,
-    /// The error.
+    /// What is wrong, with the value that was found.
     pub message: String,
     /// What was expected.
     pub expected: String,
@@ -23,7 +23,7 @@ pub struct TreeError {
 /// All errors, in the order of the checks; at least one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TreeErrors {
-    /// The first ones.
+    /// The first errors; a limit keeps the list short.
     pub errors: Vec<TreeError>,
     /// How many more there are.
     pub more: usize,

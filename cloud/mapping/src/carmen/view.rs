@@ -49,7 +49,7 @@ pub(super) fn half_circle_increment(readings: usize) -> f64 {
 }
 
 impl View {
-    /// Half a circle.
+    /// Half a circle straight ahead, with this many readings.
     pub(super) fn half_circle(readings: usize) -> Self {
         Self {
             angle_min: -FRAC_PI_2,

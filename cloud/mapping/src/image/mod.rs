@@ -86,7 +86,7 @@ pub enum ImageError {
 /// [`ImageError`]. A size beyond the limits is refused before anything is allocated.
 ///
 /// ```
-/// use zenav_mapping::image::{ImageError, decode};
+/// use zenav_mapping::map_image::{ImageError, decode};
 ///
 /// let picture = decode(b"P2 2 1 100 0 100".to_vec())?;
 /// assert_eq!((picture.width, picture.height, picture.gray), (2, 1, vec![0, 255]));

@@ -1,7 +1,7 @@
 //! Portable graymaps. Reads and writes PGM files.
 //!
 //! Written here rather than taken from a crate: readers of the `image` family drop the comments, which carry a map's place and revision
-//! ([`map_file`](crate::map_file)), do not give the line of an error, and need far more code.
+//! (`map_file`), do not give the line of an error, and need far more code.
 
 use super::{GrayImage, ImageError, checked_size};
 

@@ -42,7 +42,7 @@ pub enum InsertMode {
     #[default]
     Reference,
     /// Wedges between neighbouring beams are filled as far as the beams meet every cell in them, and only the rest is drawn beam by beam.
-    /// Cells beside surfaces may differ: [`agreement`](crate::build::agreement) measures how many.
+    /// Cells beside surfaces may differ: [`agreement`](crate::agreement) measures how many.
     Fast,
 }
 

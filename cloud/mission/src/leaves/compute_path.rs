@@ -4,9 +4,10 @@
 use nalgebra::Point2;
 use zenav_protocol::messages::GoalPoint;
 
+use super::path::DrivenPath;
 use super::ports::{goal_on, goals_on, pose_of};
 use super::selectors::Choice;
-use super::{fail, no_error, path, step};
+use super::{fail, no_error, step};
 use crate::context::Context;
 use crate::route::{Route, RouteData, RouteRequest, Search, Searching, error_code, look_at};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
@@ -77,13 +78,12 @@ fn route_request(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, S
 }
 
 /// The path as driven: the trajectory cuts the corners of the planner's path.
-fn driven(route: &Route) -> Vec<Point2<f64>> {
+fn driven(route: &Route) -> DrivenPath {
     let trajectory = &route.plan.trajectory;
     if trajectory.is_empty() {
         return route.path.clone();
     }
-    let points: Vec<Point2<f64>> = trajectory.iter().map(|point| point.position()).collect();
-    path::simplified(&points, EXACT)
+    DrivenPath::of(trajectory, EXACT)
 }
 
 impl Leaf<Context> for ComputePath {
@@ -136,11 +136,12 @@ impl Leaf<Context> for ComputePath {
             Searching::Found(route) => {
                 let (via, only_a_path) = (std::mem::take(&mut request.via), request.from.is_some());
                 self.search = None;
-                let (goal, points, length) = (route.goal, driven(&route), route.length);
+                let (goal, path, length) = (route.goal, driven(&route), route.length);
                 let data = RouteData {
                     route: if only_a_path { 0 } else { ctx.keep_route(*route) },
                     goal,
-                    points,
+                    points: path.points,
+                    backwards: path.backwards,
                     length,
                     via,
                     frame: Some(ctx.frames.at()).filter(|frame| *frame > 0),

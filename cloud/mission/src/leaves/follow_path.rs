@@ -12,7 +12,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{GoalPhase, GoalPoint};
 use zenav_protocol::time::Stamp;
 
-use super::ports::path_on;
+use super::ports::{OLD_FRAME, path_on};
 use super::progress::Progress;
 use super::selectors::Choice;
 use super::tracking::Tracking;
@@ -53,8 +53,6 @@ const CHOICES: [(&str, Choice); 4] = [
 ];
 /// Motion of a goal relative to the robot's surroundings above which it is planned to again, m.
 const PARTED: f64 = 0.01;
-/// Why a path cannot be used.
-const OLD_FRAME: &str = "the path is of a frame of the map that is too long ago";
 /// Distance from the goal at which a robot at rest has arrived, as a share of the tolerance.
 const THERE: f64 = 0.5;
 
@@ -376,7 +374,7 @@ impl FollowPath {
     fn follow_points(&mut self, ctx: &mut Context, data: &RouteData) {
         self.cancel_search(ctx);
         let request = RouteRequest {
-            given: data.points.clone(),
+            given: data.driven(),
             via: data.via.clone(),
             ..RouteRequest::to(data.goal)
         };
@@ -585,7 +583,7 @@ impl FollowPath {
                 // The failure may only apply at this speed.
                 ctx.hold();
                 self.begin_search(ctx, memory.goal, 0.0);
-                self.search = self.search.take().map(Search::from_rest);
+                self.search = self.search.take().map(Search::once_at_rest);
                 step(io, ctx, &format!("stopping: {}", no_route.reason))
             }
             Searching::Failed(no_route) => {

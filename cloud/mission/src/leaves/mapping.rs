@@ -62,7 +62,7 @@ struct Execution {
 pub enum Acting {
     /// Not answered yet.
     Busy,
-    /// Done.
+    /// The map is as it was to be.
     Done,
     /// Refused, or unanswered.
     Failed(String),

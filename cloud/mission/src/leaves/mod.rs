@@ -1,8 +1,11 @@
 //! Leaves. What can a tree do with a robot? One file per family of leaves; a leaf acts on the [`Context`].
 //!
+//! A module of its own, because what it makes public is the language of the leaves' ports: how a goal, a list of goals and a path are written
+//! in a tree.
+//!
 //! | file | leaves |
 //! |---|---|
-//! | `ports`, [`path`] | how goals, lists of goals and paths are written in a tree; geometry of a path |
+//! | `ports`, `path` | how goals, lists of goals and paths are written in a tree; geometry of a path |
 //! | `compute_path` | ComputePathToPose, ComputePathThroughPoses |
 //! | `smooth_path` | SmoothPath |
 //! | `follow_path`, `tracking` | FollowPath, and the robot's position on its path |
@@ -16,13 +19,15 @@
 //! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
 //! | `selectors` | PlannerSelector, ControllerSelector, … |
 //! | `services` | ClearEntireCostmap, CancelControl, …, ToggleCollisionMonitor |
-//! | [`remote`] | RemoteAction: an action of another program |
+//! | `remote` | RemoteAction: an action of another program |
 //! | `navigate` | NavigateToPose, NavigateThroughPoses |
 //! | `missing` | DockRobot, ComputeRoute, …: nodes without a counterpart in this stack |
 //!
 //! Names and ports are Nav2's where Nav2 has the node, so that every Nav2 tree loads. A node that this stack cannot serve fails when ticked
 //! and names what is missing.
 
+#[cfg(test)]
+mod backwards;
 mod behaviours;
 mod compute_path;
 mod conditions;
@@ -33,11 +38,11 @@ mod localisation;
 mod mapping;
 mod missing;
 mod navigate;
-pub mod path;
+pub(crate) mod path;
 mod path_leaves;
 mod ports;
 mod progress;
-pub mod remote;
+mod remote;
 mod selectors;
 #[cfg(test)]
 mod semantics;
@@ -50,11 +55,12 @@ use super::context::Context;
 use zenav_behaviour_tree::nav2::{self, Measure, Travel};
 use zenav_behaviour_tree::{DuplicateNode, Leaf, LeafIo, LeafSite, NodeSpec, PortType, Registry, Status, Value};
 
+pub use path::DrivenPath;
 pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
 /// The nodes available to a mission's trees: BehaviorTree.CPP's, Nav2's and this stack's.
 #[must_use]
-pub fn registry() -> Registry<Context> {
+pub(crate) fn registry() -> Registry<Context> {
     let mut registry = nav2::registry();
     if let Err(duplicate) = fill(&mut registry) {
         // Ids are constants: a duplicate is an error in the table below, which a test catches.

@@ -1,12 +1,101 @@
-//! Polyline path. Where on a path is the robot, how much of it is left, and what is a part of it? In m, map frame.
+//! Polyline path. Where on a path is the robot, how much of it is left, what is a part of it, and which legs are driven backwards? In m, map
+//! frame.
 //!
 //! Nav2's paths have a pose every few centimetres, and its nodes search the closest pose; here the closest point of the line is used.
 
 use nalgebra::Point2;
+use zenav_protocol::trajectory::TrajectoryPoint;
+
+/// Mean speed above which a leg of a trajectory has a direction, m/s; below it, it is a turn on the spot.
+const MOVES: f64 = 1e-3;
+
+/// A path, and which of its legs are driven backwards.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DrivenPath {
+    /// Corner points.
+    pub points: Vec<Point2<f64>>,
+    /// Legs driven backwards, each by the index of its first corner, ascending.
+    pub backwards: Vec<usize>,
+}
+
+impl DrivenPath {
+    /// A path that is driven forwards.
+    #[must_use]
+    pub fn forwards(points: Vec<Point2<f64>>) -> Self {
+        Self {
+            points,
+            backwards: Vec::new(),
+        }
+    }
+
+    /// The path of a trajectory, to within `tolerance` m. Every point where the robot changes between forwards and backwards is a corner.
+    #[must_use]
+    pub fn of(trajectory: &[TrajectoryPoint], tolerance: f64) -> Self {
+        let mut is_backwards = trajectory.windows(2).find_map(goes_backwards).unwrap_or(false);
+        let mut whole = Self::default();
+        let mut piece: Vec<Point2<f64>> = trajectory.first().map(TrajectoryPoint::position).into_iter().collect();
+        for leg in trajectory.windows(2) {
+            let [from, to] = leg else { continue };
+            let is_next_backwards = goes_backwards(leg).unwrap_or(is_backwards);
+            if is_next_backwards != is_backwards {
+                whole.extend(simplified(&piece, tolerance), is_backwards);
+                (piece, is_backwards) = (vec![from.position()], is_next_backwards);
+            }
+            piece.push(to.position());
+        }
+        whole.extend(simplified(&piece, tolerance), is_backwards);
+        whole
+    }
+
+    /// Appends a piece that begins at the last corner.
+    fn extend(&mut self, piece: Vec<Point2<f64>>, is_backwards: bool) {
+        let known = usize::from(!self.points.is_empty());
+        for point in piece.into_iter().skip(known) {
+            self.push(point, is_backwards);
+        }
+    }
+
+    /// Appends a corner, and the leg that leads to it.
+    pub fn push(&mut self, point: Point2<f64>, is_backwards: bool) {
+        if is_backwards && let Some(leg) = self.points.len().checked_sub(1) {
+            self.backwards.push(leg);
+        }
+        self.points.push(point);
+    }
+
+    /// Every corner, and whether the leg that leads to it is driven backwards.
+    pub fn corners(&self) -> impl Iterator<Item = (Point2<f64>, bool)> {
+        self.points.iter().enumerate().map(move |(corner, point)| {
+            let leg = corner.checked_sub(1);
+            (*point, leg.is_some_and(|leg| self.is_backwards(leg)))
+        })
+    }
+
+    /// The part from `from` to `to` m, including the cut ends.
+    #[must_use]
+    pub fn part(&self, from: f64, to: f64) -> Self {
+        let mut part = Self::default();
+        for (point, leg) in cut(&self.points, from, to) {
+            part.push(point, self.is_backwards(leg));
+        }
+        part
+    }
+
+    fn is_backwards(&self, leg: usize) -> bool {
+        self.backwards.binary_search(&leg).is_ok()
+    }
+}
+
+/// Whether the robot drives backwards between two points of a trajectory; `None` if it hardly moves.
+fn goes_backwards(leg: &[TrajectoryPoint]) -> Option<bool> {
+    let [from, to] = leg else { return None };
+    let speed = 0.5 * (from.v + to.v);
+    (speed.abs() > MOVES).then_some(speed < 0.0)
+}
 
 /// The point of a path nearest to a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Nearest {
+pub(crate) struct Nearest {
     /// Length of the path up to the point, m.
     pub along: f64,
     /// Distance from the place, m.
@@ -15,11 +104,13 @@ pub struct Nearest {
     pub left: f64,
     /// Heading of the path there, rad.
     pub heading: f64,
+    /// The leg that it lies on, by the index of its first corner.
+    pub leg: usize,
 }
 
 /// Length, m.
 #[must_use]
-pub fn length(points: &[Point2<f64>]) -> f64 {
+pub(crate) fn length(points: &[Point2<f64>]) -> f64 {
     segments(points).map(|(_, a, b)| (b - a).norm()).sum()
 }
 
@@ -35,7 +126,7 @@ fn segments(points: &[Point2<f64>]) -> impl Iterator<Item = (f64, Point2<f64>, P
 
 /// The point nearest to `place` between `from` and `to` m of the path; `None` for a path without points or an empty part.
 #[must_use]
-pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -> Option<Nearest> {
+pub(crate) fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -> Option<Nearest> {
     if let [only] = points {
         let distance = (place - only).norm();
         return Some(Nearest {
@@ -43,10 +134,11 @@ pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -
             distance,
             left: distance,
             heading: 0.0,
+            leg: 0,
         });
     }
     let mut best: Option<Nearest> = None;
-    for (begin, a, b) in segments(points) {
+    for (leg, (begin, a, b)) in segments(points).enumerate() {
         let step = b - a;
         let long = step.norm();
         if begin > to || begin + long < from {
@@ -68,6 +160,7 @@ pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -
                     aside
                 },
                 heading: unit.y.atan2(unit.x),
+                leg,
             });
         }
     }
@@ -76,34 +169,40 @@ pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -
 
 /// The part from `from` to `to` m of the path, including the cut ends. A part without length is one point.
 #[must_use]
-pub fn part(points: &[Point2<f64>], from: f64, to: f64) -> Vec<Point2<f64>> {
+pub(crate) fn part(points: &[Point2<f64>], from: f64, to: f64) -> Vec<Point2<f64>> {
+    let cut = cut(points, from, to);
+    cut.into_iter().map(|(point, _)| point).collect()
+}
+
+/// The corners of a part, each with the leg of the whole path that leads to it.
+fn cut(points: &[Point2<f64>], from: f64, to: f64) -> Vec<(Point2<f64>, usize)> {
     let Some(first) = points.first() else { return Vec::new() };
     let whole = length(points);
     let (from, to) = (from.clamp(0.0, whole), to.clamp(0.0, whole));
-    let mut cut: Vec<Point2<f64>> = Vec::new();
-    for (begin, a, b) in segments(points) {
+    let mut cut: Vec<(Point2<f64>, usize)> = Vec::new();
+    for (leg, (begin, a, b)) in segments(points).enumerate() {
         let long = (b - a).norm();
         if long <= 0.0 || begin + long < from || begin > to {
             continue;
         }
         let at = |along: f64| a + (b - a) * ((along - begin) / long).clamp(0.0, 1.0);
         if cut.is_empty() {
-            cut.push(at(from));
+            cut.push((at(from), leg));
         }
         let end = at(to.min(begin + long));
-        if cut.last() != Some(&end) {
-            cut.push(end);
+        if cut.last().is_none_or(|(last, _)| *last != end) {
+            cut.push((end, leg));
         }
     }
     if cut.is_empty() {
-        cut.push(*first);
+        cut.push((*first, 0));
     }
     cut
 }
 
 /// The corners needed to keep the path within `tolerance` m (Douglas and Peucker, 1973); always includes both ends.
 #[must_use]
-pub fn simplified(points: &[Point2<f64>], tolerance: f64) -> Vec<Point2<f64>> {
+pub(crate) fn simplified(points: &[Point2<f64>], tolerance: f64) -> Vec<Point2<f64>> {
     let Some(last) = points.len().checked_sub(1) else {
         return Vec::new();
     };
@@ -136,7 +235,7 @@ pub fn simplified(points: &[Point2<f64>], tolerance: f64) -> Vec<Point2<f64>> {
 
 /// Points on a path, at most `spacing` m apart, including ends and corners, each with its heading; at most `most`.
 #[must_use]
-pub fn spaced(points: &[Point2<f64>], spacing: f64, most: usize) -> Vec<(Point2<f64>, f64)> {
+pub(crate) fn spaced(points: &[Point2<f64>], spacing: f64, most: usize) -> Vec<(Point2<f64>, f64)> {
     let mut poses = Vec::new();
     for (_, a, b) in segments(points) {
         let step = b - a;
@@ -195,6 +294,50 @@ mod tests {
         assert_eq!(part(&corner(), 9.0, 9.0), [Point2::new(2.0, 3.0)]);
         assert_eq!(part(&corner(), 0.0, 0.0), [Point2::origin()]);
         assert!(part(&[], 0.0, 1.0).is_empty());
+    }
+
+    #[test]
+    fn the_path_of_a_trajectory_has_a_corner_where_the_robot_changes_direction() {
+        let at = |x: f64, v: f64| TrajectoryPoint {
+            x,
+            v,
+            ..TrajectoryPoint::default()
+        };
+        let driven = |trajectory: &[TrajectoryPoint]| {
+            let path = DrivenPath::of(trajectory, 0.01);
+            let along: Vec<f64> = path.points.iter().map(|point| point.x).collect();
+            (along, path.backwards)
+        };
+        // All on one line: two metres, a turn on the spot, one metre back, and on.
+        let ahead = [at(0.0, 0.0), at(1.0, 0.5), at(2.0, 0.0), at(2.0, 0.0)];
+        let back = [at(1.5, -0.5), at(1.0, 0.0)];
+        let on = [at(3.0, 0.5), at(4.0, 0.0)];
+        let expected = (vec![0.0, 2.0, 1.0, 4.0], vec![1]);
+        assert_eq!(driven(&[&ahead[..], &back, &on].concat()), expected);
+        // It turns first.
+        let backs = [at(0.0, 0.0), at(0.0, 0.0), at(-1.0, -0.5), at(-2.0, 0.0)];
+        assert_eq!(driven(&backs), (vec![0.0, -2.0], vec![0]));
+        assert_eq!(driven(&ahead), (vec![0.0, 2.0], Vec::new()));
+        assert_eq!(driven(&[]), (Vec::new(), Vec::new()));
+    }
+
+    #[test]
+    fn a_part_keeps_which_of_its_legs_are_driven_backwards() {
+        let path = DrivenPath {
+            points: [0.0, 4.0, 2.0, 3.0].map(|x| Point2::new(x, 0.0)).to_vec(),
+            backwards: vec![1],
+        };
+        let legs = |from: f64, to: f64| {
+            let rest = path.part(from, to);
+            assert_eq!(rest.points, part(&path.points, from, to));
+            (rest.points.len() - 1, rest.backwards)
+        };
+        assert_eq!(legs(0.0, 9.0), (3, vec![1]));
+        assert_eq!(legs(4.0, 9.0), (2, vec![0]), "from its beginning on");
+        assert_eq!(legs(5.0, 6.5), (2, vec![0]), "from within it");
+        assert_eq!(legs(1.0, 4.0), (1, vec![]), "up to it");
+        assert_eq!(legs(6.0, 9.0), (1, vec![]), "after it");
+        assert_eq!(legs(5.0, 5.0), (0, vec![]));
     }
 
     proptest! {

@@ -6,8 +6,8 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::GoalPoint;
 
-use super::path::{self, Nearest};
-use super::ports::{goal_on, goal_text, ground, here, number, path_on, pose_of, write};
+use super::path::{self, DrivenPath, Nearest};
+use super::ports::{OLD_FRAME, goal_on, goal_text, ground, here, number, path_here, path_on, pose_of, write};
 use super::{SyncLeaf, fail, step};
 use crate::context::Context;
 use crate::motion::{Recheck, recheck};
@@ -56,7 +56,7 @@ pub struct IsGoalNearby(Pursuit);
 
 impl SyncLeaf for IsGoalNearby {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let data = path_on(io, "path")?;
+        let data = path_here(io, ctx, "path")?;
         let (threshold, reach) = (
             number(io, "proximity_threshold", 1.0)?,
             number(io, "max_robot_pose_search_dist", -1.0)?,
@@ -75,7 +75,7 @@ pub struct TruncatePathLocal(Pursuit);
 
 impl SyncLeaf for TruncatePathLocal {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let data = path_on(io, "input_path")?;
+        let data = path_here(io, ctx, "input_path")?;
         if data.points.is_empty() {
             return write(io, "output_path", data.value());
         }
@@ -95,16 +95,20 @@ impl SyncLeaf for TruncatePathLocal {
         let whole = path::length(&data.points);
         let from = if backward < 0.0 { 0.0 } else { near.along - backward };
         let to = if forward < 0.0 { whole } else { near.along + forward };
-        let points = path::part(&data.points, from, to);
+        let part = data.driven().part(from, to);
         // A path to the same goal is still the same route.
         let cut = if to >= whole {
             RouteData {
-                length: path::length(&points),
-                points,
+                length: path::length(&part.points),
+                points: part.points,
+                backwards: part.backwards,
                 ..data
             }
         } else {
-            RouteData::of(points, None)
+            RouteData {
+                frame: data.frame,
+                ..RouteData::of(part, None)
+            }
         };
         write(io, "output_path", cut.value())
     }
@@ -119,7 +123,10 @@ impl SyncLeaf for TruncatePath {
         let distance = number(io, "distance", 1.0)?;
         let cut = if distance > 0.0 {
             let whole = path::length(&data.points);
-            RouteData::of(path::part(&data.points, 0.0, whole - distance), None)
+            RouteData {
+                frame: data.frame,
+                ..RouteData::of(data.driven().part(0.0, whole - distance), None)
+            }
         } else {
             data
         };
@@ -127,7 +134,7 @@ impl SyncLeaf for TruncatePath {
     }
 }
 
-/// The pose at a corner of `path`; a negative `index` counts from the end.
+/// The robot's pose at a corner of `path`; a negative `index` counts from the end.
 pub struct GetPoseFromPath;
 
 impl SyncLeaf for GetPoseFromPath {
@@ -143,13 +150,15 @@ impl SyncLeaf for GetPoseFromPath {
             .ok()
             .and_then(|at| data.points.get(at).map(|point| (at, *point)));
         let (at, point) = place.ok_or_else(|| format!("no point {index} on a path of {count}"))?;
-        let towards = data.points.get(at + 1).map(|next| next - point);
+        let towards = data.points.get(at + 1).map(|next| (at, next - point));
         let from = at
             .checked_sub(1)
-            .and_then(|before| data.points.get(before))
-            .map(|before| point - before);
+            .and_then(|leg| data.points.get(leg).map(|before| (leg, point - before)));
         let last = at + 1 == data.points.len();
-        let heading = towards.or(from).map(|step| step.y.atan2(step.x));
+        let heading = towards.or(from).map(|(leg, step)| {
+            let ahead = if data.backwards.contains(&leg) { -step } else { step };
+            ahead.y.atan2(ahead.x)
+        });
         let pose = GoalPoint {
             x: point.x,
             y: point.y,
@@ -159,30 +168,38 @@ impl SyncLeaf for GetPoseFromPath {
     }
 }
 
-/// Joins two paths.
+/// Joins two paths, in the present frame of the map.
 pub struct ConcatenatePaths;
 
 impl SyncLeaf for ConcatenatePaths {
-    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let (first, second) = (path_on(io, "input_path1"), path_on(io, "input_path2"));
-        let parts: Vec<RouteData> = [first, second]
+        let parts: Option<Vec<RouteData>> = [first, second]
             .into_iter()
             .flatten()
             .filter(|part| !part.points.is_empty())
+            .map(|part| part.here(&ctx.frames))
             .collect();
+        let parts = parts.ok_or(OLD_FRAME)?;
+        let frame = parts.iter().find_map(|part| part.frame);
         let yaw = parts.last().ok_or("both paths are empty")?.goal.yaw;
-        let mut points: Vec<Point2<f64>> = Vec::new();
+        let mut path = DrivenPath::default();
         let mut via = Vec::new();
         for part in parts {
-            points.extend(part.points);
+            let driven = part.driven();
+            for (point, is_backwards) in driven.corners() {
+                if path.points.last() != Some(&point) {
+                    path.push(point, is_backwards);
+                }
+            }
             via.extend(part.via);
             via.push(part.goal);
         }
         via.pop();
-        points.dedup();
         let joined = RouteData {
             via,
-            ..RouteData::of(points, yaw)
+            frame,
+            ..RouteData::of(path, yaw)
         };
         write(io, "output_path", joined.value())
     }
@@ -193,7 +210,7 @@ pub struct ValidatePath;
 
 impl SyncLeaf for ValidatePath {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let data = path_on(io, "path")?;
+        let data = path_here(io, ctx, "path")?;
         let pose = here(ctx)?;
         let Some((model, space)) = ground(ctx) else {
             return Ok(step(io, ctx, "waiting for the robot and its map"));

@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::messages::{GoalPoint, check_backwards};
 use zenav_protocol::robot::RobotModel;
 
-use super::path;
+use super::path::{self, DrivenPath};
 use crate::context::Context;
 use crate::route::RouteData;
 use zenav_behaviour_tree::nav2::{Pose, nav2_list, pose, pose_of_json};
@@ -21,6 +21,8 @@ pub type Places = BTreeMap<String, GoalPoint>;
 
 /// Most places in a list.
 const MAX_POINTS: usize = 10_000;
+/// Why a path cannot be used.
+pub const OLD_FRAME: &str = "the path is of a frame of the map that is too long ago";
 
 /// Parses a goal from a port's value.
 ///
@@ -171,7 +173,8 @@ pub fn parse_path(value: &Value) -> Result<RouteData, String> {
         serde_json::Value::String(text) => {
             if let Some(poses) = nav2_list(text).filter(|poses| poses.len() <= MAX_POINTS) {
                 let points = poses.iter().map(|pose| Point2::new(pose.x, pose.y)).collect();
-                return Ok(RouteData::of(points, poses.last().and_then(|pose| pose.yaw)));
+                let yaw = poses.last().and_then(|pose| pose.yaw);
+                return Ok(RouteData::of(DrivenPath::forwards(points), yaw));
             }
             serde_json::from_str(text.trim_start().strip_prefix("json:").unwrap_or(text))
                 .map_err(|error| format!("path: {error}"))?
@@ -180,7 +183,7 @@ pub fn parse_path(value: &Value) -> Result<RouteData, String> {
     };
     let route = if data.is_array() {
         let points: Vec<Point2<f64>> = serde_json::from_value(data).map_err(|error| format!("path: {error}"))?;
-        RouteData::of(points, None)
+        RouteData::of(DrivenPath::forwards(points), None)
     } else {
         serde_json::from_value(data).map_err(|error| format!("path: {error}"))?
     };
@@ -188,6 +191,7 @@ pub fn parse_path(value: &Value) -> Result<RouteData, String> {
     if route.points.len() > MAX_POINTS || !route.points.iter().all(finite) {
         return Err(format!("path: expected at most {MAX_POINTS} points, all finite"));
     }
+    check_backwards(&route.backwards, route.points.len()).map_err(|error| format!("path: {error}"))?;
     Ok(route)
 }
 
@@ -199,10 +203,19 @@ pub fn path_on(io: &LeafIo<'_>, port: &str) -> Result<RouteData, String> {
     io.value(port).map_err(|error| error.to_string()).and_then(parse_path)
 }
 
+/// The same in the present frame of the map.
+///
+/// # Errors
+/// What was expected.
+pub fn path_here(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<RouteData, String> {
+    path_on(io, port)?.here(&ctx.frames).ok_or_else(|| OLD_FRAME.to_owned())
+}
+
 impl RouteData {
     /// A path that does not come from a route, to its last point. `yaw` is the heading there.
     #[must_use]
-    pub fn of(points: Vec<Point2<f64>>, yaw: Option<f64>) -> Self {
+    pub fn of(path: DrivenPath, yaw: Option<f64>) -> Self {
+        let DrivenPath { points, backwards } = path;
         let end = points.last().copied().unwrap_or_else(Point2::origin);
         Self {
             route: 0,
@@ -213,9 +226,19 @@ impl RouteData {
             },
             length: path::length(&points),
             points,
+            backwards,
             via: Vec::new(),
             place: None,
             frame: None,
+        }
+    }
+
+    /// Its points, and which of its legs are driven backwards.
+    #[must_use]
+    pub fn driven(&self) -> DrivenPath {
+        DrivenPath {
+            points: self.points.clone(),
+            backwards: self.backwards.clone(),
         }
     }
 
@@ -371,6 +394,22 @@ mod tests {
         assert_eq!(parse_path(&path.value().unwrap()).unwrap(), path);
         for bad in ["", "[[0]]", "{}", "[[0,1e999]]"] {
             assert!(parse_path(&Value::text(bad)).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_path_is_stored_with_the_legs_that_are_driven_backwards_if_it_has_any() {
+        let points = [0.0, 2.0, 1.0].map(|x| Point2::new(x, 0.0)).to_vec();
+        let mut path = RouteData::of(DrivenPath::forwards(points), None);
+        let stored = r#"{"route":0,"goal":{"x":1.0,"y":0.0},"points":[[0.0,0.0],[2.0,0.0],[1.0,0.0]],"length":3.0}"#;
+        assert_eq!(serde_json::to_string(&path).unwrap(), stored);
+        assert_eq!(parse_path(&Value::text(stored)).unwrap(), path);
+        path.backwards = vec![1];
+        assert_eq!(parse_path(&path.value().unwrap()).unwrap(), path);
+        for bad in [vec![2], vec![1, 0], vec![1, 1], vec![usize::MAX]] {
+            path.backwards = bad;
+            let why = parse_path(&path.value().unwrap()).unwrap_err();
+            assert!(why.contains("`backwards`") && why.contains("2 legs"), "{why}");
         }
     }
 

@@ -6,7 +6,7 @@
 //!
 //! `server` is the key; `period_ms` (100) is the polling period, `timeout_ms` (10,000) the longest silence. All other ports belong to the
 //! action: ports with a value are its inputs, and its outputs are written to ports that lead to entries. The wire messages are
-//! [`zenav_protocol::messages::RemoteRequest`] and its reply, where the protocol is described; `cloud/examples/remote_action.py` is a
+//! [`zenav_protocol::messages::RemoteRequest`] and its reply, where the protocol is described; `cloud/mission/examples/remote_action.py` is a
 //! server.
 //!
 //! The execution's id is stored before the first request, so that after a restart the mission continues under the same id.

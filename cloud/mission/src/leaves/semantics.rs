@@ -13,15 +13,17 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    EdgeState, Event, EventKind, Health, InfoReply, Link, Localisation, MapRef, PoseEstimate,
+    EdgeState, Event, EventKind, Health, InfoReply, Link, Localisation, MapFrame, MapRef, PoseEstimate,
 };
 use zenav_protocol::time::Stamp;
 
 use super::parse_path;
+use super::path::DrivenPath;
 use crate::MissionConfig;
 use crate::context::Context;
 use crate::io::{Answer, Ask};
 use crate::records::Restored;
+use crate::route::RouteData;
 use crate::trees::{build, registry};
 
 use Status::{Failure, Running, Success};
@@ -133,10 +135,21 @@ impl Stand {
             .unwrap_or_default()
     }
 
+    /// The map's frame that a path on the blackboard is of.
+    fn frame(&self, key: &str) -> Option<u64> {
+        parse_path(self.tree.blackboard().get(key).unwrap()).unwrap().frame
+    }
+
     /// Corners of a path on the blackboard.
     fn path(&self, key: &str) -> Vec<(f64, f64)> {
+        self.driven(key).0
+    }
+
+    /// Its corners, and its legs that are driven backwards.
+    fn driven(&self, key: &str) -> (Vec<(f64, f64)>, Vec<usize>) {
         let path = parse_path(self.tree.blackboard().get(key).unwrap()).unwrap();
-        path.points.iter().map(|point| (point.x, point.y)).collect()
+        let corners = path.points.iter().map(|point| (point.x, point.y));
+        (corners.collect(), path.backwards)
     }
 }
 
@@ -153,6 +166,20 @@ fn state(now: Stamp) -> EdgeState {
 
 /// Five metres along x, then three along y.
 const PATH: &str = "[[0,0],[5,0],[5,3]]";
+
+/// A path with legs that are driven backwards, as on the blackboard.
+fn path_with(corners: &[(f64, f64)], backwards: &[usize]) -> String {
+    let path = DrivenPath {
+        points: corners.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
+        backwards: backwards.to_vec(),
+    };
+    serde_json::to_string(&RouteData::of(path, None)).unwrap()
+}
+
+/// Four metres along x, two backwards along -y, then two along -x.
+fn back() -> String {
+    path_with(&[(0.0, 0.0), (4.0, 0.0), (4.0, -2.0), (2.0, -2.0)], &[1])
+}
 
 #[test]
 fn is_goal_nearby_goes_by_the_way_left_not_by_the_distance() {
@@ -205,6 +232,116 @@ fn truncate_path_cuts_its_end_and_leaves_at_least_a_point() {
         Stand::new(r#"<TruncatePath input_path="{path}" output_path="{cut}" distance="40.0"/>"#).with("path", PATH);
     assert_eq!(all.now(), Success);
     assert_eq!(all.path("cut"), [(0.0, 0.0)]);
+}
+
+#[test]
+fn a_cut_path_keeps_which_of_its_legs_are_driven_backwards() {
+    for (forward, backward, expected) in [
+        ("-1", "0.0", (vec![(4.0, -1.0), (4.0, -2.0), (2.0, -2.0)], vec![0])),
+        ("0.5", "2.0", (vec![(3.0, 0.0), (4.0, 0.0), (4.0, -1.5)], vec![1])),
+    ] {
+        let node = format!(
+            r#"<TruncatePathLocal input_path="{{path}}" output_path="{{cut}}" distance_forward="{forward}" distance_backward="{backward}"/>"#
+        );
+        let mut stand = Stand::new(&node).with("path", &back());
+        assert_eq!(stand.at(4.0, -1.0).now(), Success);
+        assert_eq!(stand.driven("cut"), expected, "{forward} {backward}");
+    }
+    for (distance, expected) in [
+        ("3.0", (vec![(0.0, 0.0), (4.0, 0.0), (4.0, -1.0)], vec![1])),
+        ("4.0", (vec![(0.0, 0.0), (4.0, 0.0)], vec![])),
+    ] {
+        let node = format!(r#"<TruncatePath input_path="{{path}}" output_path="{{cut}}" distance="{distance}"/>"#);
+        let mut stand = Stand::new(&node).with("path", &back());
+        assert_eq!(stand.now(), Success);
+        assert_eq!(stand.driven("cut"), expected, "{distance}");
+    }
+}
+
+#[test]
+fn joined_paths_keep_which_of_their_legs_are_driven_backwards() {
+    // A corner of the first path is there twice, and the second path begins where the first one ends.
+    let first = path_with(&[(0.0, 0.0), (2.0, 0.0), (2.0, 0.0), (1.0, 0.0)], &[2]);
+    let second = path_with(&[(1.0, 0.0), (0.0, 0.0), (0.0, 1.0)], &[0]);
+    let mut stand = Stand::new(r#"<ConcatenatePaths input_path1="{a}" input_path2="{b}" output_path="{joined}"/>"#)
+        .with("a", &first)
+        .with("b", &second);
+    assert_eq!(stand.now(), Success);
+    let corners = vec![(0.0, 0.0), (2.0, 0.0), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)];
+    assert_eq!(stand.driven("joined"), (corners, vec![1, 2]));
+}
+
+#[test]
+fn cut_and_joined_paths_keep_their_frame_or_are_carried_over_to_the_present_one() {
+    let told = |frame: u64, corners: &[(f64, f64)]| {
+        let path = RouteData {
+            frame: Some(frame),
+            ..parse_path(&Value::text(path_with(corners, &[]))).unwrap()
+        };
+        serde_json::to_string(&path).unwrap()
+    };
+    // The map is in frame 0; in frame 1 everything lies a metre farther to the left.
+    let stand = |node: &str| {
+        let mut stand = Stand::new(node);
+        let moved = Pose2::new(0.0, 1.0, 0.0);
+        for (frame, moves, part) in [(0, vec![], Pose2::IDENTITY), (1, vec![moved], moved)] {
+            let map = MapRef {
+                id: "m".into(),
+                revision: 0,
+                frame,
+            };
+            stand.ctx.frames.observe(MapFrame {
+                map,
+                moves,
+                parts: vec![part],
+                ..MapFrame::default()
+            });
+        }
+        stand
+    };
+    let later = told(1, &[(0.0, 1.0), (5.0, 1.0)]);
+
+    let mut cut =
+        stand(r#"<TruncatePath input_path="{path}" output_path="{cut}" distance="1.0"/>"#).with("path", &later);
+    assert_eq!(cut.now(), Success);
+    assert_eq!(
+        (cut.path("cut"), cut.frame("cut")),
+        (vec![(0.0, 1.0), (4.0, 1.0)], Some(1))
+    );
+
+    let mut local = stand(
+        r#"<TruncatePathLocal input_path="{path}" output_path="{cut}" distance_forward="1.5" distance_backward="0.0"/>"#,
+    )
+    .with("path", &later);
+    assert_eq!(local.at(2.0, 0.2).now(), Success);
+    assert_eq!(
+        (local.path("cut"), local.frame("cut")),
+        (vec![(2.0, 0.0), (3.5, 0.0)], Some(0))
+    );
+
+    let join = |first: &str, second: &str| {
+        stand(r#"<ConcatenatePaths input_path1="{a}" input_path2="{b}" output_path="{joined}"/>"#)
+            .with("a", first)
+            .with("b", second)
+    };
+    let mut joined = join(&later, &told(0, &[(5.0, 0.0), (6.0, 0.0)]));
+    assert_eq!(joined.now(), Success);
+    let corners = vec![(0.0, 0.0), (5.0, 0.0), (6.0, 0.0)];
+    assert_eq!((joined.path("joined"), joined.frame("joined")), (corners, Some(0)));
+    assert_eq!(
+        join(&later, &told(9, &[(5.0, 0.0), (6.0, 0.0)])).now(),
+        Failure,
+        "of an unknown frame"
+    );
+}
+
+#[test]
+fn the_pose_on_a_leg_that_is_driven_backwards_faces_the_other_way() {
+    let node = r#"<GetPoseFromPath path="{path}" index="1" pose="{pose}"/>"#;
+    let mut stand = Stand::new(node).with("path", &back());
+    assert_eq!(stand.now(), Success);
+    let yaw: f64 = stand.entry("pose").rsplit(';').next().unwrap().parse().unwrap();
+    assert!((yaw - std::f64::consts::FRAC_PI_2).abs() < 1e-9, "{yaw}");
 }
 
 #[test]

@@ -20,7 +20,7 @@ impl Leaf<Context> for ClearCostmap {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let service: Option<String> = io.get_optional("service_name").ok().flatten();
         if service.is_some_and(|name| name.contains("local_costmap")) {
-            io.say("the robot's guard keeps nothing: it goes by the newest scan");
+            io.say("the robot's collision monitor keeps nothing: it goes by the newest scan");
             return Status::Success;
         }
         self.0.start(io, ctx)
@@ -68,7 +68,7 @@ pub struct ToggleCollisionMonitor;
 impl SyncLeaf for ToggleCollisionMonitor {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
         match io.get_optional("enable") {
-            Ok(Some(false)) => Err("the robot's guard cannot be switched off".to_owned()),
+            Ok(Some(false)) => Err("the robot's collision monitor cannot be switched off".to_owned()),
             Ok(_) => Ok(Status::Success),
             Err(wrong) => Err(wrong.to_string()),
         }

@@ -6,9 +6,10 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{MotionReply, MotionRequest, SmoothRequest};
 use zenav_protocol::time::Stamp;
 
+use super::path::{self, DrivenPath};
 use super::ports::{number, path_on};
 use super::selectors::Choice;
-use super::{fail, no_error, path, step};
+use super::{fail, no_error, step};
 use crate::context::Context;
 use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use crate::route::RouteData;
@@ -64,14 +65,14 @@ impl Leaf<Context> for SmoothPath {
                 "the robot or its map is not known yet",
             );
         };
-        let start = start(&data.points);
+        let start = start(&data.driven());
         let request = SmoothRequest {
             robot: ctx.config.robot.to_string(),
             model,
             map,
             path: data.points.clone(),
             via: data.via.iter().map(|goal| Point2::new(goal.x, goal.y)).collect(),
-            backwards: Vec::new(),
+            backwards: data.backwards.clone(),
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: data.goal.yaw,
@@ -115,12 +116,12 @@ impl Leaf<Context> for SmoothPath {
             let why = format!("the path cannot be driven: {}", reply.statistics.status);
             return fail(io, ctx, Some(error_code::FAILED_TO_SMOOTH_PATH), why);
         };
-        let points: Vec<Point2<f64>> = reply.trajectory.iter().map(|point| point.position()).collect();
-        let points = path::simplified(&points, EXACT);
+        let DrivenPath { points, backwards } = DrivenPath::of(&reply.trajectory, EXACT);
         let smooth = RouteData {
             route: 0,
             length: path::length(&points),
             points,
+            backwards,
             ..given
         };
         let written = smooth
@@ -147,9 +148,11 @@ impl Leaf<Context> for SmoothPath {
     }
 }
 
-/// The first point of a path, heading along it.
-fn start(points: &[Point2<f64>]) -> Pose2 {
-    let begin = points.first().copied().unwrap_or_else(Point2::origin);
-    let along = points.iter().map(|point| point - begin).find(|step| step.norm() > 1e-6);
-    Pose2::new(begin.x, begin.y, along.map_or(0.0, |step| step.y.atan2(step.x)))
+/// The first point of a path, with the heading in which the robot drives its first leg.
+fn start(path: &DrivenPath) -> Pose2 {
+    let begin = path.points.first().copied().unwrap_or_else(Point2::origin);
+    let mut corners = path.corners();
+    let first = corners.find(|(point, _)| (point - begin).norm() > 1e-6);
+    let ahead = first.map(|(point, is_backwards)| if is_backwards { begin - point } else { point - begin });
+    Pose2::new(begin.x, begin.y, ahead.map_or(0.0, |ahead| ahead.y.atan2(ahead.x)))
 }

@@ -1,5 +1,7 @@
 //! Tracking. Where on its path is the robot, and how closely does it follow?
 
+use std::f64::consts::PI;
+
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::wrap_angle;
@@ -23,7 +25,7 @@ const PERIOD: f64 = 0.1;
 pub struct TrackingFeedback {
     /// Distance from the path, m; positive to the left of it.
     pub position_tracking_error: f64,
-    /// Heading relative to the path, rad.
+    /// Heading relative to the one in which the path is driven, rad.
     pub heading_tracking_error: f64,
     /// Straight distance to the goal, m.
     #[serde(default)]
@@ -88,9 +90,10 @@ impl Tracking {
             return;
         }
         self.told = ctx.now;
+        let reversed = if data.backwards.contains(&near.leg) { PI } else { 0.0 };
         let feedback = TrackingFeedback {
             position_tracking_error: near.left,
-            heading_tracking_error: wrap_angle(pose.yaw - near.heading),
+            heading_tracking_error: wrap_angle(pose.yaw - near.heading - reversed),
             distance_to_goal: (pose.x - data.goal.x).hypot(pose.y - data.goal.y),
             remaining_path_length: whole - near.along,
             speed: ctx.robot.velocity().v,

@@ -15,9 +15,9 @@ use zenav_protocol::trajectory::Trajectory;
 use zenav_space::ConfigurationSpace;
 
 use self::pace::Pace;
-pub(crate) use self::recheck::BLOCKED_WITHIN;
-pub use self::recheck::{Recheck, recheck};
-use super::frames::Frames;
+pub use self::recheck::Recheck;
+pub(crate) use self::recheck::{BLOCKED_WITHIN, recheck};
+use super::frames::MapFrames;
 use super::lease::newer;
 use super::robot::is_rest;
 
@@ -104,7 +104,7 @@ impl MotionKeeper {
     }
 
     /// Restores the plan that was in force before a restart: it counts as accepted until the robot reports otherwise.
-    pub fn restore(&mut self, plan: Plan) {
+    pub(crate) fn restore(&mut self, plan: Plan) {
         self.was_begun_for_leg = true;
         let long_ago = Stamp::ZERO;
         self.current = Some(ActivePlan {
@@ -145,7 +145,7 @@ impl MotionKeeper {
     }
 
     /// Switches to the present frame of the map: the driven path moves with the robot's surroundings, as it does on the robot.
-    pub fn settle(&mut self, frames: &Frames) {
+    pub(crate) fn settle(&mut self, frames: &MapFrames) {
         for active in self.current.iter_mut().chain(&mut self.previous) {
             match frames.robot(active.plan.map.frame) {
                 Some(moved) => active.here = active.plan.trajectory.moved(moved),
@@ -169,12 +169,12 @@ impl MotionKeeper {
     }
 
     /// The plan to store, if it has changed since the last call.
-    pub fn take_changed(&mut self) -> Option<Option<Box<Plan>>> {
+    pub(crate) fn take_changed(&mut self) -> Option<Option<Box<Plan>>> {
         std::mem::take(&mut self.changed).then(|| self.current.as_ref().map(|current| Box::new(current.plan.clone())))
     }
 
     /// Puts a new plan into force.
-    pub fn begin(
+    pub(crate) fn begin(
         &mut self,
         draft: PlanDraft,
         goal_id: &str,
@@ -221,12 +221,12 @@ impl MotionKeeper {
     }
 
     /// Renews the validity of the same trajectory, under the present epoch. `None` without a renewable plan.
-    pub fn renew(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
+    pub(crate) fn renew(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
         self.publish(epoch, based_on, valid_for, now, false)
     }
 
     /// Shortens the validity of the same trajectory. `None` if it is already held, or no plan is in force.
-    pub fn hold(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
+    pub(crate) fn hold(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
         if self.is_held() {
             None
         } else {
@@ -254,7 +254,7 @@ impl MotionKeeper {
 
     /// Handles a refusal: the previous plan, or the same trajectory if the robot already drove it, is in force again. Returns whether there
     /// is one.
-    pub fn revert(&mut self) -> bool {
+    pub(crate) fn revert(&mut self) -> bool {
         if let Some(current) = self.current.as_mut().filter(|current| current.was_taken) {
             current.status = PlanStatus::Taken;
             return true;
@@ -281,7 +281,7 @@ impl MotionKeeper {
     }
 
     /// Observes the robot's reports.
-    pub fn observe(&mut self, now: Stamp, state: Option<&EdgeState>, events: &[Event]) {
+    pub(crate) fn observe(&mut self, now: Stamp, state: Option<&EdgeState>, events: &[Event]) {
         let Some(current) = &mut self.current else { return };
         for event in events {
             current.take(now, event);

@@ -29,27 +29,8 @@ pub enum Recheck {
 
 /// Rechecks a trajectory from plan time `from` on, with the true footprint. A robot that stands in an obstacle according to the map may
 /// leave it within `escape` m.
-///
-/// ```
-/// use nalgebra::Point2;
-/// use zenav_mission::motion::{Recheck, recheck};
-/// use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
-/// use zenav_protocol::robot::Footprint;
-/// use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
-/// use zenav_space::{ConfigurationSpace, UnknownPolicy};
-///
-/// let spec = GridSpec { origin: Point2::new(-1.0, -1.0), resolution: 0.05, width: 200, height: 60 };
-/// let mut map = Grid::filled(spec, Occupancy::FREE);
-/// map[Cell::new(100, 20)] = Occupancy::OCCUPIED; // from (4, 0) to (4.05, 0.05)
-/// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Free, 0.0);
-/// // Along x at 0.5 m/s, a point every 0.1 s: the robot's front reaches the obstacle after 7.5 s.
-/// let point = |step: u32| TrajectoryPoint { t: 0.1 * f64::from(step), x: 0.05 * f64::from(step), v: 0.5, ..TrajectoryPoint::default() };
-/// let trajectory: Trajectory = (0..160).map(point).collect();
-/// assert!(matches!(recheck(&trajectory, &space, 0.0, 0.6), Recheck::Blocked(ahead) if ahead > 5.0 && ahead < 7.6));
-/// assert_eq!(recheck(&trajectory, &space, 9.0, 0.6), Recheck::Free, "it has passed");
-/// ```
 #[must_use]
-pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
+pub(crate) fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
     // A disc turns in place.
     let arm = match space.footprint() {
         Footprint::Radius(_) => 0.0,

@@ -17,7 +17,7 @@ use super::waiting::Waiting;
 use super::{Route, Search, route};
 use crate::context::Context;
 use crate::io::{Answer, Ask, NoAnswer, Ticket};
-use crate::leaves::path;
+use crate::leaves::path::{self, DrivenPath};
 use crate::motion::{PlanStatus, Recheck, recheck};
 
 /// A lidar sees an obstacle within this share of its range, and within this distance, m: farther away there is less than one beam per cell.
@@ -42,7 +42,7 @@ const LATER: f64 = 1.0;
 
 /// Number of approaches made for a goal, and earliest time of the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Tries {
+pub(crate) struct Tries {
     count: u32,
     after: Stamp,
 }
@@ -259,7 +259,10 @@ fn approach(ctx: &mut Context, begin: Begin, goal: GoalPoint, answer: Result<Ans
         Box::new(route(
             begin,
             goal,
-            path,
+            DrivenPath {
+                points: path,
+                backwards: reply.plan.backwards,
+            },
             smooth.map,
             smooth.trajectory,
             smooth.statistics,

@@ -3,7 +3,7 @@
 //! For a robot that follows a trajectory, the route starts from the state predicted on it, one latency budget ahead; for a robot at rest,
 //! from where it stands; a robot that moves otherwise is waited for.
 //!
-//! If there is no path, the worker is asked again as if the transient obstacles ([`transient`](crate::transient)) had left. If there is a
+//! If there is no path, the worker is asked again as if the transient obstacles (`transient`) had left. If there is a
 //! path then, the search waits for them: it asks again when one of them leaves, and each second. If the path round them is much longer
 //! than the one through them, it waits, too, as long as that is likely to be sooner. A moving robot waits on the plan in force.
 
@@ -19,30 +19,28 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
     GoalPoint, KnownCourse, MapRef, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest, PlanStatistics,
-    SmoothReply, SmoothRequest, TrajectoryRequest,
+    SmoothReply, SmoothRequest, TrajectoryRequest, check_backwards,
 };
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
 
 use super::context::Context;
-use super::frames::{Frames, moved_points};
+use super::frames::{MapFrames, moved_points};
 use super::io::{Answer, Ask, NoAnswer, Ticket};
-use super::leaves::path;
+use super::leaves::path::{self, DrivenPath};
 use super::motion::PlanDraft;
 use super::transient::TransientCell;
 use approach::Approach;
 use begin::{Begin, predicted};
 
-pub use approach::Tries;
-pub use request::RouteRequest;
+pub(crate) use approach::Tries;
+pub(crate) use request::RouteRequest;
 pub(crate) use waiting::{InSight, Waiting, look_at};
 pub(crate) use way_round::{is_long, short_way_opens};
 
 /// Nav2's error codes of path planning.
-pub mod error_code {
-    /// No error.
-    pub const NONE: i64 = 0;
+pub(crate) mod error_code {
     /// Any other reason.
     pub const UNKNOWN: i64 = 200;
     /// The robot's pose is unknown.
@@ -75,8 +73,8 @@ pub struct Route {
     pub id: u64,
     /// Goal of the route.
     pub goal: GoalPoint,
-    /// Corner points, including start and goal.
-    pub path: Vec<Point2<f64>>,
+    /// The planned path, including start and goal.
+    pub path: DrivenPath,
     /// Length of the path, m.
     pub length: f64,
     /// Start pose.
@@ -96,6 +94,9 @@ pub struct RouteData {
     pub goal: GoalPoint,
     /// Corner points, map frame.
     pub points: Vec<Point2<f64>>,
+    /// Legs driven backwards, each by the index of its first corner, ascending.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub backwards: Vec<usize>,
     /// Length, m.
     pub length: f64,
     /// Goals on the way, in order.
@@ -113,7 +114,7 @@ impl RouteData {
     /// The same in the present frame of the map: the path moved with the robot's surroundings, the goals with theirs. `None` if its frame
     /// is too old.
     #[must_use]
-    pub fn here(self, frames: &Frames) -> Option<Self> {
+    pub fn here(self, frames: &MapFrames) -> Option<Self> {
         let from = self.frame.unwrap_or(frames.at());
         if from == frames.at() {
             return Some(self);
@@ -131,7 +132,7 @@ impl RouteData {
 
 /// Why there is no route.
 #[derive(Clone, Debug, PartialEq)]
-pub struct NoRoute {
+pub(crate) struct NoRoute {
     /// Nav2's code.
     pub code: i64,
     /// The reason as text.
@@ -153,7 +154,7 @@ impl NoRoute {
 
 /// State of a search.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Searching {
+pub(crate) enum Searching {
     /// Not finished; what it waits for.
     Wait(&'static str),
     /// A transient obstacle blocks the way: where, and for how long.
@@ -176,12 +177,12 @@ enum Stage {
     /// A route round what may leave; asked how long the way would be without that.
     Weighed(Ticket, Box<Route>),
     /// The trajectory along the given path, joined from the robot's position.
-    Given(Ticket, Begin, Vec<Point2<f64>>),
+    Given(Ticket, Begin, DrivenPath),
 }
 
 /// A search for a route.
 #[derive(Clone, Debug)]
-pub struct Search {
+pub(crate) struct Search {
     request: RouteRequest,
     planner: String,
     stage: Stage,
@@ -254,7 +255,7 @@ impl Search {
 
     /// Waits until the robot is at rest, and plans from there.
     #[must_use]
-    pub fn from_rest(self) -> Self {
+    pub fn once_at_rest(self) -> Self {
         Self {
             from_rest: true,
             ..self
@@ -376,14 +377,14 @@ impl Search {
                 robot: ctx.config.robot.to_string(),
                 model,
                 map,
-                path: path.clone(),
+                path: path.points.clone(),
                 via: self
                     .request
                     .via
                     .iter()
                     .map(|goal| Point2::new(goal.x, goal.y))
                     .collect(),
-                backwards: Vec::new(),
+                backwards: path.backwards.clone(),
                 start: begin.pose,
                 start_velocity: begin.twist,
                 goal_yaw,
@@ -488,7 +489,8 @@ impl Search {
             }
             _ => return self.no_path(ctx, &begin, &plan),
         };
-        if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
+        let is_finite = path.iter().all(|p| p.x.is_finite() && p.y.is_finite());
+        if path.len() < 2 || !is_finite || check_backwards(&plan.backwards, path.len()).is_err() {
             return failed(error_code::UNKNOWN, "the planner returned an invalid path".to_owned());
         }
         if !self.request.past_others
@@ -509,7 +511,10 @@ impl Search {
         match smooth {
             None if self.request.from.is_some() => self.found(
                 begin,
-                path,
+                DrivenPath {
+                    points: path,
+                    backwards: plan.backwards,
+                },
                 plan.map,
                 Trajectory::default(),
                 statistics(PlanStatistics::default()),
@@ -527,6 +532,10 @@ impl Search {
                 trajectory,
                 statistics: found,
             }) => {
+                let path = DrivenPath {
+                    points: path,
+                    backwards: plan.backwards,
+                };
                 let route = self.route(begin, path, map, trajectory, statistics(found));
                 self.unless_waiting_is_sooner(ctx, route)
             }
@@ -538,7 +547,7 @@ impl Search {
         &mut self,
         ctx: &mut Context,
         begin: Begin,
-        path: Vec<Point2<f64>>,
+        path: DrivenPath,
         answer: Result<Answer, NoAnswer>,
     ) -> Searching {
         self.unanswered = matches!(answer, Err(NoAnswer::Silent(_)));
@@ -547,7 +556,7 @@ impl Search {
                 MotionReply::Smooth(reply) if reply.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() => {
                     return self.again(ctx, "plans anew: the map has moved");
                 }
-                MotionReply::Smooth(reply) if !reply.trajectory.is_empty() || path::length(&path) < AT_GOAL => {
+                MotionReply::Smooth(reply) if !reply.trajectory.is_empty() || path::length(&path.points) < AT_GOAL => {
                     return self.found(begin, path, reply.map, reply.trajectory, reply.statistics);
                 }
                 MotionReply::Smooth(reply) => reply.statistics.status,
@@ -558,7 +567,7 @@ impl Search {
             Ok(_) => return off_topic(),
         };
         tracing::info!(goal = ctx.goal.id, why, "the given path cannot be driven");
-        self.request.given.clear();
+        self.request.given = DrivenPath::default();
         self.stage = Stage::Idle(ctx.now);
         Searching::Wait("plans another path: the given one cannot be driven")
     }
@@ -599,7 +608,7 @@ impl Search {
     fn found(
         &mut self,
         begin: Begin,
-        path: Vec<Point2<f64>>,
+        path: DrivenPath,
         map: MapRef,
         trajectory: Trajectory,
         statistics: PlanStatistics,
@@ -611,7 +620,7 @@ impl Search {
     fn route(
         &self,
         begin: Begin,
-        path: Vec<Point2<f64>>,
+        path: DrivenPath,
         map: MapRef,
         trajectory: Trajectory,
         statistics: PlanStatistics,
@@ -636,14 +645,14 @@ impl Search {
 fn route(
     begin: Begin,
     goal: GoalPoint,
-    path: Vec<Point2<f64>>,
+    path: DrivenPath,
     map: MapRef,
     trajectory: Trajectory,
     statistics: PlanStatistics,
 ) -> Route {
     let plan = PlanDraft {
         map,
-        waypoints: path.iter().skip(1).copied().collect(),
+        waypoints: path.points.iter().skip(1).copied().collect(),
         trajectory,
         splice: begin.splice,
         statistics,
@@ -651,7 +660,7 @@ fn route(
     Route {
         id: 0,
         goal,
-        length: path::length(&path),
+        length: path::length(&path.points),
         path,
         begin: begin.pose,
         plan,

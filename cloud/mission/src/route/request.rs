@@ -4,7 +4,7 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::GoalPoint;
 
-use crate::leaves::path;
+use crate::leaves::path::{self, DrivenPath};
 
 /// Greatest distance of a given path from the robot at which it is joined, m.
 const JOIN: f64 = 0.5;
@@ -13,7 +13,7 @@ const APART: f64 = 1e-3;
 
 /// The requested route.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RouteRequest {
+pub(crate) struct RouteRequest {
     /// Goals on the way, in order.
     pub via: Vec<GoalPoint>,
     /// Final goal.
@@ -21,7 +21,7 @@ pub struct RouteRequest {
     /// Start pose other than the robot's: gives a path without a trajectory.
     pub from: Option<Pose2>,
     /// An existing path: it is driven if it passes the robot and is drivable.
-    pub given: Vec<Point2<f64>>,
+    pub given: DrivenPath,
     /// Whether the path is to lead past the robots that the robot gives way to.
     pub past_others: bool,
 }
@@ -34,28 +34,32 @@ impl RouteRequest {
             via: Vec::new(),
             goal,
             from: None,
-            given: Vec::new(),
+            given: DrivenPath::default(),
             past_others: false,
         }
     }
 
     /// The given path from the robot's predicted position; a path that does not pass there is dropped.
-    pub(super) fn join_given(&mut self, here: Point2<f64>) -> Option<Vec<Point2<f64>>> {
-        let whole = path::length(&self.given);
-        let near = path::nearest(&self.given, here, 0.0, whole).filter(|near| near.distance <= JOIN);
+    pub(super) fn join_given(&mut self, here: Point2<f64>) -> Option<DrivenPath> {
+        let whole = path::length(&self.given.points);
+        let near = path::nearest(&self.given.points, here, 0.0, whole).filter(|near| near.distance <= JOIN);
         let Some(near) = near else {
-            self.given.clear();
+            self.given = DrivenPath::default();
             return None;
         };
-        let mut joined = vec![here];
-        for point in path::part(&self.given, near.along, whole) {
-            if joined.last().is_none_or(|last| (point - last).norm() > APART) {
-                joined.push(point);
+        let rest = self.given.part(near.along, whole);
+        // The robot joins the path in the direction in which it goes on: another one would be a change of direction beside the path.
+        let mut is_first_backwards = rest.backwards.first() == Some(&0);
+        let mut joined = DrivenPath::forwards(vec![here]);
+        for (point, is_backwards) in rest.corners() {
+            let goes_backwards = is_backwards || std::mem::take(&mut is_first_backwards);
+            if joined.points.last().is_none_or(|last| (point - last).norm() > APART) {
+                joined.push(point, goes_backwards);
             }
         }
-        if joined.len() == 1 {
+        if joined.points.len() == 1 {
             // The robot is at its end.
-            joined.push(here);
+            joined.push(here, false);
         }
         Some(joined)
     }
@@ -73,12 +77,41 @@ mod tests {
             yaw: None,
         };
         let mut request = RouteRequest {
-            given: vec![Point2::new(0.0, 0.0), Point2::new(3.0, 0.0)],
+            given: DrivenPath::forwards(vec![Point2::new(0.0, 0.0), Point2::new(3.0, 0.0)]),
             ..RouteRequest::to(goal)
         };
         let joined = [(1.0, 0.2), (1.0, 0.0), (3.0, 0.0)].map(|(x, y)| Point2::new(x, y));
-        assert_eq!(request.join_given(joined[0]).as_deref(), Some(&joined[..]));
+        let expected = DrivenPath::forwards(joined.to_vec());
+        assert_eq!(request.join_given(joined[0]), Some(expected));
         assert_eq!(request.join_given(Point2::new(1.0, 1.0)), None);
-        assert!(request.given.is_empty());
+        assert!(request.given.points.is_empty());
+    }
+
+    #[test]
+    fn a_given_path_is_joined_in_the_direction_in_which_it_is_driven_there() {
+        let goal = GoalPoint {
+            x: 0.0,
+            y: 0.0,
+            yaw: None,
+        };
+        let given = DrivenPath {
+            points: [(0.0, 0.0), (4.0, 0.0), (4.0, -3.0), (0.0, -3.0)]
+                .map(|(x, y)| Point2::new(x, y))
+                .to_vec(),
+            backwards: vec![1],
+        };
+        let joins = |x: f64, y: f64| {
+            let mut request = RouteRequest {
+                given: given.clone(),
+                ..RouteRequest::to(goal)
+            };
+            let joined = request.join_given(Point2::new(x, y)).unwrap();
+            (joined.points.len() - 1, joined.backwards)
+        };
+        assert_eq!(joins(4.0, -1.0), (2, vec![0]), "on the reverse leg");
+        assert_eq!(joins(4.2, -1.0), (3, vec![0, 1]), "beside it");
+        assert_eq!(joins(1.0, 0.2), (4, vec![2]), "before it");
+        assert_eq!(joins(1.0, -3.2), (2, vec![]), "after it");
+        assert_eq!(joins(0.0, -3.0), (1, vec![]), "at the end");
     }
 }

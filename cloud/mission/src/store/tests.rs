@@ -40,7 +40,7 @@ fn goal(id: &str, sequence: u64) -> Record {
 fn what_was_written_is_there_in_the_next_life() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("deep/mission.redb");
-    let store = Store::open(&path, "r").unwrap();
+    let store = MissionStore::open(&path, "r").unwrap();
     assert_eq!(store.begin_life().unwrap().incarnation, 1);
     let reply = GoalReply {
         robot: None,
@@ -59,7 +59,7 @@ fn what_was_written_is_there_in_the_next_life() {
     store.write(&[Record::ForgetGoal("a".into())]).unwrap();
     let name = store.name().to_owned();
     drop(store);
-    let again = Store::open(&path, "r").unwrap();
+    let again = MissionStore::open(&path, "r").unwrap();
     assert_eq!(again.name(), name);
     let second = again.begin_life().unwrap();
     assert_eq!(second.incarnation, 2);
@@ -78,7 +78,7 @@ fn what_was_written_is_there_in_the_next_life() {
 #[test]
 fn a_standby_s_store_holds_what_the_leader_s_holds_but_its_name() {
     let folder = tempfile::tempdir().unwrap();
-    let open = |name: &str| Store::open(&folder.path().join(name), "r").unwrap();
+    let open = |name: &str| MissionStore::open(&folder.path().join(name), "r").unwrap();
     let (leader, standby) = (open("leader"), open("standby"));
     standby.write(&[goal("stale", 1)]).unwrap();
     leader.begin_life().unwrap();
@@ -113,8 +113,8 @@ fn a_standby_s_store_holds_what_the_leader_s_holds_but_its_name() {
 fn a_file_in_use_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mission.redb");
-    let _store = Store::open(&path, "r").unwrap();
-    assert!(matches!(Store::open(&path, "r"), Err(StoreError::Locked { .. })));
+    let _store = MissionStore::open(&path, "r").unwrap();
+    assert!(matches!(MissionStore::open(&path, "r"), Err(StoreError::Locked { .. })));
 }
 
 #[test]
@@ -122,12 +122,12 @@ fn a_file_that_is_no_store_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mission.redb");
     std::fs::write(&path, vec![7_u8; 10_000]).unwrap();
-    assert!(matches!(Store::open(&path, "r"), Err(StoreError::Io { .. })));
+    assert!(matches!(MissionStore::open(&path, "r"), Err(StoreError::Io { .. })));
 }
 
 /// A store with three goals, closed.
 fn three(path: &Path) {
-    let store = Store::open(path, "r").unwrap();
+    let store = MissionStore::open(path, "r").unwrap();
     store.begin_life().unwrap();
     store.write(&[goal("a", 1), goal("b", 2), goal("c", 3)]).unwrap();
     store
@@ -146,7 +146,7 @@ fn reply() -> GoalReply {
 }
 
 fn refused(path: &Path) -> String {
-    match Store::open(path, "r") {
+    match MissionStore::open(path, "r") {
         Err(error @ StoreError::Foreign { .. }) => error.to_string(),
         other => panic!("{other:?}"),
     }
@@ -165,7 +165,7 @@ fn an_emptied_file_is_not_taken_for_a_new_one() {
     );
     assert_eq!(std::fs::metadata(&path).unwrap().len(), 0, "it is left as it is");
     std::fs::remove_file(&path).unwrap();
-    assert!(Store::open(&path, "r").unwrap().goals().unwrap().is_empty());
+    assert!(MissionStore::open(&path, "r").unwrap().goals().unwrap().is_empty());
     assert_eq!(
         std::fs::read_dir(folder.path()).unwrap().count(),
         1,
@@ -199,7 +199,7 @@ fn a_record_that_is_gone_added_or_changed_is_found() {
         assert!(refused(&path).contains("checksum"));
     }
     change(|_| {});
-    assert_eq!(Store::open(&path, "r").unwrap().goals().unwrap().len(), 3);
+    assert_eq!(MissionStore::open(&path, "r").unwrap().goals().unwrap().len(), 3);
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn every_byte_that_is_spoilt_costs_no_goal_in_silence() {
     three(&path);
     let whole = std::fs::read(&path).unwrap();
     let expected = {
-        let store = Store::open(&path, "r").unwrap();
+        let store = MissionStore::open(&path, "r").unwrap();
         store.goals().unwrap()
     };
     // Every position of a goal's text in the file.
@@ -221,7 +221,7 @@ fn every_byte_that_is_spoilt_costs_no_goal_in_silence() {
         let mut spoilt = whole.clone();
         spoilt[at] ^= 0x20;
         std::fs::write(&path, &spoilt).unwrap();
-        match Store::open(&path, "r").and_then(|store| store.goals()) {
+        match MissionStore::open(&path, "r").and_then(|store| store.goals()) {
             Ok(goals) => assert_eq!(goals, expected, "at {at}: an old copy, or all is well"),
             Err(error) => assert!(error.to_string().contains("mission.redb"), "{error}"),
         }
@@ -233,7 +233,7 @@ fn another_robot_s_file_is_refused_with_both_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mission.redb");
     three(&path);
-    let error = Store::open(&path, "other").unwrap_err().to_string();
+    let error = MissionStore::open(&path, "other").unwrap_err().to_string();
     assert!(error.contains("`r`") && error.contains("`other`"), "{error}");
 }
 
@@ -249,6 +249,6 @@ fn a_store_of_before_the_checksum_is_taken_up() {
     }
     write.commit().unwrap();
     drop(database);
-    assert_eq!(Store::open(&path, "r").unwrap().goals().unwrap().len(), 3);
-    assert_eq!(Store::open(&path, "r").unwrap().goals().unwrap().len(), 3);
+    assert_eq!(MissionStore::open(&path, "r").unwrap().goals().unwrap().len(), 3);
+    assert_eq!(MissionStore::open(&path, "r").unwrap().goals().unwrap().len(), 3);
 }

@@ -38,7 +38,7 @@ type Place = (i64, i64);
 
 /// A cell of a transient obstacle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TransientCell {
+pub(crate) struct TransientCell {
     /// Its centre, map frame, m.
     pub center: Point2<f64>,
     /// Time since which it has been occupied, on the mission's clock; `None` if it was never seen free.
@@ -47,7 +47,7 @@ pub struct TransientCell {
 
 /// History of the map: cells that were free once, and cells occupied since.
 #[derive(Clone, Debug, Default)]
-pub struct Transients {
+pub(crate) struct Transients {
     /// Geometry of the grid that cells are counted from.
     anchor: Option<(String, GridSpec)>,
     tiles: BTreeMap<Place, Tile>,

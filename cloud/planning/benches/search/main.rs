@@ -31,7 +31,7 @@ use std::time::Duration;
 use criterion::Criterion;
 use rustix::time::{ClockId, clock_gettime};
 use zenav_fixtures::Row;
-use zenav_mapping::map_file;
+use zenav_mapping::read_map;
 use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::Occupancy;
 use zenav_space::{BitGrid, PointLineOfSight};
@@ -171,7 +171,7 @@ fn read(folder: &Path, only: &str) -> Vec<Case> {
     });
     paths.sort();
     let case = |path: &std::path::PathBuf| {
-        let grid = map_file::read_map(path, 0.05).unwrap();
+        let grid = read_map(path, 0.05).unwrap();
         let spec = *grid.spec();
         let free = BitGrid::from_fn(spec.width, spec.height, |cell| {
             Occupancy::of(grid[cell]) == Occupancy::Free

@@ -3,7 +3,7 @@
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_mapping::moving_ai;
+use zenav_mapping::{cell_from_top, parse_moving_ai_scenarios};
 use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::{Cell, GridSpec};
 use zenav_space::{BitGrid, PointLineOfSight};
@@ -17,10 +17,10 @@ pub const SEED: u64 = 1;
 
 /// The hardest queries of a scenario file; ties in file order.
 pub fn published(spec: &GridSpec, scenarios: &[u8]) -> Vec<Query> {
-    let mut scenarios = moving_ai::parse_scenarios(scenarios).unwrap();
+    let mut scenarios = parse_moving_ai_scenarios(scenarios).unwrap();
     scenarios.sort_by(|a, b| b.optimum.total_cmp(&a.optimum));
     scenarios.truncate(COUNT);
-    let cell = |at| moving_ai::cell_from_top(spec, at).unwrap();
+    let cell = |at| cell_from_top(spec, at).unwrap();
     scenarios
         .iter()
         .map(|scenario| query(cell(scenario.start), cell(scenario.goal)))

@@ -8,7 +8,7 @@ use zenav_space::LineOfSight;
 
 use super::{Map, PathSearch};
 use crate::budget::Budget;
-use crate::sampling::tree::{Explored, Extended, Ground, Tree};
+use crate::sampling::tree::{Explored, Extended, SearchSpace, Tree};
 use crate::sampling::{self, Sampling};
 use crate::searcher::{NotFound, Query, Searched};
 
@@ -21,10 +21,10 @@ pub(crate) struct Rrt {
 impl PathSearch for Rrt {
     fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
         self.tree.clear();
-        sampling::search(map, query, budget, |ground, sampling| {
-            self.tree.plant(ground, query.start);
-            let mut path = grow(ground, &mut self.tree, query.goal, sampling)?;
-            sampling.prune(ground, &mut path);
+        sampling::search(map, query, budget, |space, sampling| {
+            self.tree.plant(space, query.start);
+            let mut path = grow(space, &mut self.tree, query.goal, sampling)?;
+            sampling.prune(space, &mut path);
             Ok(path)
         })
     }
@@ -36,12 +36,12 @@ impl PathSearch for Rrt {
 
 /// Grows a planted tree until it reaches the goal; returns the path from its root.
 fn grow<S: LineOfSight>(
-    ground: &Ground<'_, S>,
+    space: &SearchSpace<'_, S>,
     tree: &mut Tree,
     goal: Point2<f64>,
     sampling: &mut Sampling<'_>,
 ) -> Result<Vec<Point2<f64>>, NotFound> {
-    let target = ground.free_at(goal);
+    let target = space.free_at(goal);
     let mut found = None;
     while found.is_none() {
         let explores = sampling.next()?;
@@ -51,19 +51,19 @@ fn grow<S: LineOfSight>(
         } else if sampling.sampler.unit() < sampling.settings.goal_bias {
             Some(goal)
         } else {
-            sampling.sample(ground)
+            sampling.sample(space)
         };
         if let Some(sample) = sample {
-            tree.extend(ground, sample);
+            tree.extend(space, sample);
         } else {
-            let explored = tree.explore(ground, &mut sampling.sampler, sampling.settings.exits, target);
+            let explored = tree.explore(space, &mut sampling.sampler, sampling.settings.exits, target);
             if explored == Explored::Everything && target.is_some() && tree.vertices() == before {
                 return Err(NotFound::NoPath);
             }
         }
         found = (before..tree.vertices())
             .rev()
-            .find_map(|vertex| match tree.extend_from(ground, vertex, goal) {
+            .find_map(|vertex| match tree.extend_from(space, vertex, goal) {
                 Extended::Arrived(vertex) => Some(vertex),
                 Extended::Stepped(_) | Extended::Trapped => None,
             });

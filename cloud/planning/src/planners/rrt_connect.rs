@@ -9,7 +9,7 @@ use zenav_space::LineOfSight;
 
 use super::{Map, PathSearch};
 use crate::budget::Budget;
-use crate::sampling::tree::{Explored, Ground, Tree};
+use crate::sampling::tree::{Explored, SearchSpace, Tree};
 use crate::sampling::{self, Sampling};
 use crate::searcher::{NotFound, Query, Searched};
 
@@ -22,8 +22,8 @@ pub(crate) struct RrtConnect {
 impl PathSearch for RrtConnect {
     fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
         self.clear();
-        sampling::search(map, query, budget, |ground, sampling| {
-            self.first_path(ground, query, sampling)
+        sampling::search(map, query, budget, |space, sampling| {
+            self.first_path(space, query, sampling)
         })
     }
 
@@ -41,44 +41,44 @@ impl RrtConnect {
     /// The path on which the trees meet, without redundant corners.
     pub(super) fn first_path<S: LineOfSight>(
         &mut self,
-        ground: &Ground<'_, S>,
+        space: &SearchSpace<'_, S>,
         query: &Query,
         sampling: &mut Sampling<'_>,
     ) -> Result<Vec<Point2<f64>>, NotFound> {
-        self.trees[0].plant(ground, query.start);
-        self.trees[1].plant(ground, query.goal);
-        let mut path = meet(ground, &mut self.trees, sampling)?;
-        sampling.prune(ground, &mut path);
+        self.trees[0].plant(space, query.start);
+        self.trees[1].plant(space, query.goal);
+        let mut path = meet(space, &mut self.trees, sampling)?;
+        sampling.prune(space, &mut path);
         Ok(path)
     }
 }
 
 /// Grows two planted trees until they meet; returns the path from the first root to the second.
 fn meet<S: LineOfSight>(
-    ground: &Ground<'_, S>,
+    space: &SearchSpace<'_, S>,
     trees: &mut [Tree; 2],
     sampling: &mut Sampling<'_>,
 ) -> Result<Vec<Point2<f64>>, NotFound> {
-    let roots = [0, 1].map(|side: usize| ground.free_at(trees[side].point(0)));
+    let roots = [0, 1].map(|side: usize| space.free_at(trees[side].point(0)));
     loop {
         let explores = sampling.next()?;
         let side = (sampling.samples & 1) as usize;
         let [first, second] = trees;
         let (tree, other) = if side == 0 { (first, second) } else { (second, first) };
         let before = tree.vertices();
-        let sample = if explores { None } else { sampling.sample(ground) };
+        let sample = if explores { None } else { sampling.sample(space) };
         if let Some(sample) = sample {
-            tree.extend(ground, sample);
+            tree.extend(space, sample);
         } else {
             let target = roots[1 - side];
-            let explored = tree.explore(ground, &mut sampling.sampler, sampling.settings.exits, target);
+            let explored = tree.explore(space, &mut sampling.sampler, sampling.settings.exits, target);
             if explored == Explored::Everything && target.is_some() && tree.vertices() == before {
                 return Err(NotFound::NoPath);
             }
         }
         for vertex in (before..tree.vertices()).rev() {
             let p = tree.point(vertex);
-            if let Some(met) = other.connect(ground, p) {
+            if let Some(met) = other.connect(space, p) {
                 return Ok(join(trees, side, vertex, met));
             }
         }

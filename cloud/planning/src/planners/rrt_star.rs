@@ -14,7 +14,7 @@ use crate::budget::Budget;
 use crate::sampling::rewiring::CostTree;
 use crate::sampling::sampler::Ellipse;
 use crate::sampling::shortcut::length;
-use crate::sampling::tree::Ground;
+use crate::sampling::tree::SearchSpace;
 use crate::sampling::{self, Sampling};
 use crate::searcher::{Query, Searched};
 
@@ -29,10 +29,10 @@ impl PathSearch for RrtStar {
     fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
         self.first.clear();
         self.costs.clear();
-        sampling::search(map, query, budget, |ground, sampling| {
-            let path = self.first.first_path(ground, query, sampling)?;
+        sampling::search(map, query, budget, |space, sampling| {
+            let path = self.first.first_path(space, query, sampling)?;
             self.first.clear();
-            Ok(improve(ground, &mut self.costs, path, sampling))
+            Ok(improve(space, &mut self.costs, path, sampling))
         })
     }
 
@@ -50,7 +50,7 @@ const WORTH: f64 = 1e-5;
 
 /// Improves a path until the search's budget ends; never longer than it was.
 fn improve<S: LineOfSight>(
-    ground: &Ground<'_, S>,
+    space: &SearchSpace<'_, S>,
     tree: &mut CostTree,
     path: Vec<Point2<f64>>,
     sampling: &mut Sampling<'_>,
@@ -59,30 +59,30 @@ fn improve<S: LineOfSight>(
     let (Some(start), Some(goal)) = (best.first().copied(), best.last().copied()) else {
         return best;
     };
-    sampling.pull_string(ground, &mut best);
+    sampling.pull_string(space, &mut best);
     let mut bound = length(&best);
-    tree.plant(ground.sight.size(), &best);
+    tree.plant(space.sight.size(), &best);
     sampling.sampler.narrow(Ellipse::new([start, goal], bound));
     let last = sampling.samples.saturating_add(sampling.settings.improving);
     // The straight line is a lower bound.
     while bound > (goal - start).norm() * (1.0 + 1e-9) && sampling.samples < last && sampling.next().is_ok() {
         let corner = sampling.sampler.unit() < sampling.corners();
         let sample = if corner {
-            sampling.sampler.corner(ground.graph)
+            sampling.sampler.corner(space.graph)
         } else {
-            sampling.sampler.free(ground.graph)
+            sampling.sampler.free(space.graph)
         };
         if let Some(sample) = sample {
-            let radius = radius(sampling.sampler.free_area(), tree.len()).min(ground.step);
-            tree.insert(ground.sight, sample, radius, ground.step, bound);
+            let radius = radius(sampling.sampler.free_area(), tree.len()).min(space.step);
+            tree.insert(space.sight, sample, radius, space.step, bound);
         }
         if sampling.samples.is_multiple_of(PERIOD) && tree.cost() < bound * (1.0 - WORTH) {
             let mut path = tree.path();
-            sampling.pull_string(ground, &mut path);
+            sampling.pull_string(space, &mut path);
             best = path;
             bound = length(&best);
-            let radius = radius(sampling.sampler.free_area(), tree.len()).min(ground.step);
-            tree.lay(ground.sight, &best, radius);
+            let radius = radius(sampling.sampler.free_area(), tree.len()).min(space.step);
+            tree.lay(space.sight, &best, radius);
             sampling.sampler.narrow(Ellipse::new([start, goal], bound));
         }
     }

@@ -30,7 +30,7 @@ use super::planners::Map;
 use super::searcher::{NotFound, Query, Searched};
 use super::settings::SamplingSettings;
 use sampler::Sampler;
-use tree::Ground;
+use tree::SearchSpace;
 
 /// The samples of one search.
 #[derive(Debug)]
@@ -55,25 +55,25 @@ impl Sampling<'_> {
     }
 
     /// A point in a free cell, `None` if no draw hit one; any point if the map is a black box.
-    pub(crate) fn sample<S>(&mut self, ground: &Ground<'_, S>) -> Option<Point2<f64>> {
+    pub(crate) fn sample<S>(&mut self, space: &SearchSpace<'_, S>) -> Option<Point2<f64>> {
         if self.black_box {
             Some(self.sampler.anywhere())
         } else {
-            self.sampler.free(ground.graph)
+            self.sampler.free(space.graph)
         }
     }
 
     /// Removes redundant corners.
-    pub(crate) fn prune<S: LineOfSight>(&self, ground: &Ground<'_, S>, path: &mut Vec<Point2<f64>>) {
+    pub(crate) fn prune<S: LineOfSight>(&self, space: &SearchSpace<'_, S>, path: &mut Vec<Point2<f64>>) {
         if !self.black_box {
-            shortcut::prune(ground.sight, path, || self.budget.is_cancelled());
+            shortcut::prune(space.sight, path, || self.budget.is_cancelled());
         }
     }
 
     /// Pulls the path taut.
-    pub(crate) fn pull_string<S: LineOfSight>(&self, ground: &Ground<'_, S>, path: &mut Vec<Point2<f64>>) {
+    pub(crate) fn pull_string<S: LineOfSight>(&self, space: &SearchSpace<'_, S>, path: &mut Vec<Point2<f64>>) {
         if !self.black_box {
-            shortcut::pull_string(ground.sight, path, || self.budget.is_cancelled());
+            shortcut::pull_string(space.sight, path, || self.budget.is_cancelled());
         }
     }
 
@@ -89,7 +89,7 @@ pub(crate) fn search<S: LineOfSight>(
     map: &Map<'_, S>,
     query: &Query,
     budget: Budget<'_>,
-    grow: impl FnOnce(&Ground<'_, S>, &mut Sampling<'_>) -> Result<Vec<Point2<f64>>, NotFound>,
+    grow: impl FnOnce(&SearchSpace<'_, S>, &mut Sampling<'_>) -> Result<Vec<Point2<f64>>, NotFound>,
 ) -> Searched {
     let [width, height] = map.sight.size().map(f64::from);
     let inside = |p: Point2<f64>| p.x >= 0.0 && p.x < width && p.y >= 0.0 && p.y < height;
@@ -111,7 +111,7 @@ pub(crate) fn search<S: LineOfSight>(
         let result = Ok(Path::through(corners));
         return Searched { result, expansions: 0 };
     }
-    let ground = Ground {
+    let space = SearchSpace {
         sight: map.sight,
         graph: map.graph,
         step: (map.sampling.step * width.hypot(height)).max(1.0),
@@ -124,7 +124,7 @@ pub(crate) fn search<S: LineOfSight>(
         samples: 0,
         black_box: map.black_box,
     };
-    let result = grow(&ground, &mut sampling);
+    let result = grow(&space, &mut sampling);
     Searched {
         result: result.map(Path::through),
         expansions: sampling.samples,

@@ -17,7 +17,7 @@ const NONE: u32 = u32::MAX;
 
 /// The map that trees grow on.
 #[derive(Debug)]
-pub struct Ground<'a, S> {
+pub struct SearchSpace<'a, S> {
     /// Line of sight.
     pub sight: &'a S,
     /// Free cells.
@@ -26,7 +26,7 @@ pub struct Ground<'a, S> {
     pub step: f64,
 }
 
-impl<S: LineOfSight> Ground<'_, S> {
+impl<S: LineOfSight> SearchSpace<'_, S> {
     /// The free cell that holds a point (a graph's node).
     pub fn free_at(&self, p: Point2<f64>) -> Option<u32> {
         self.graph.node_at(p).filter(|cell| self.graph.is_free(*cell))
@@ -75,9 +75,9 @@ pub enum Explored {
 
 impl Tree {
     /// Starts a new tree at a root.
-    pub fn plant<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, root: Point2<f64>) {
+    pub fn plant<S: LineOfSight>(&mut self, space: &SearchSpace<'_, S>, root: Point2<f64>) {
         self.clear();
-        self.nearest.clear(ground.sight.size());
+        self.nearest.clear(space.sight.size());
         self.add(root, NONE);
     }
 
@@ -122,18 +122,18 @@ impl Tree {
     }
 
     /// Grows a step from the nearest vertex towards a point.
-    pub fn extend<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Extended {
+    pub fn extend<S: LineOfSight>(&mut self, space: &SearchSpace<'_, S>, to: Point2<f64>) -> Extended {
         match self.nearest.nearest(to) {
-            Some(near) => self.extend_from(ground, near, to),
+            Some(near) => self.extend_from(space, near, to),
             None => Extended::Trapped,
         }
     }
 
     /// Grows from the nearest vertex towards a point until it is reached or an obstacle blocks the way.
-    pub fn connect<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Option<u32> {
+    pub fn connect<S: LineOfSight>(&mut self, space: &SearchSpace<'_, S>, to: Point2<f64>) -> Option<u32> {
         let mut near = self.nearest.nearest(to)?;
         loop {
-            match self.extend_from(ground, near, to) {
+            match self.extend_from(space, near, to) {
                 Extended::Arrived(vertex) => return Some(vertex),
                 Extended::Stepped(vertex) => near = vertex,
                 Extended::Trapped => return None,
@@ -142,18 +142,18 @@ impl Tree {
     }
 
     /// Grows a step from a vertex towards a point.
-    pub fn extend_from<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, near: u32, to: Point2<f64>) -> Extended {
+    pub fn extend_from<S: LineOfSight>(&mut self, space: &SearchSpace<'_, S>, near: u32, to: Point2<f64>) -> Extended {
         let from = self.point(near);
         let path = to - from;
         let length = path.norm();
-        if length > ground.step {
-            let end = from + path * (ground.step / length);
-            if end != from && ground.sight.sees(from, end) {
+        if length > space.step {
+            let end = from + path * (space.step / length);
+            if end != from && space.sight.sees(from, end) {
                 return Extended::Stepped(self.add(end, near));
             }
         } else if length == 0.0 {
             return Extended::Arrived(near);
-        } else if ground.sight.sees(from, to) {
+        } else if space.sight.sees(from, to) {
             return Extended::Arrived(self.add(to, near));
         }
         Extended::Trapped
@@ -163,36 +163,33 @@ impl Tree {
     /// run is uncovered. The cell `target` is connected as soon as its run is covered.
     pub fn explore<S: LineOfSight>(
         &mut self,
-        ground: &Ground<'_, S>,
+        space: &SearchSpace<'_, S>,
         sampler: &mut Sampler,
         draws: usize,
         target: Option<u32>,
     ) -> Explored {
         if self.covered == 0 {
-            self.frontier.clear(ground.graph);
+            self.frontier.clear(space.graph);
         }
         while self.covered < self.points.len() {
             let vertex = self.covered as u32;
             self.covered += 1;
             let p = self.point(vertex);
-            match ground
-                .free_at(p)
-                .filter(|cell| ground.sight.sees(p, ground.center(*cell)))
-            {
-                Some(cell) if !self.frontier.covers(cell) => self.cover(ground, vertex, cell, target),
+            match space.free_at(p).filter(|cell| space.sight.sees(p, space.center(*cell))) {
+                Some(cell) if !self.frontier.covers(cell) => self.cover(space, vertex, cell, target),
                 Some(_) => {}
                 None => self.complete &= vertex > 0,
             }
         }
-        let goal = target.map(|target| ground.center(target));
+        let goal = target.map(|target| space.center(target));
         while !self.frontier.exits().is_empty() {
             let exits = self.frontier.exits();
             let distance =
-                |number: &usize| goal.map_or(0.0, |goal| (ground.center(exits[*number].cell) - goal).norm_squared());
+                |number: &usize| goal.map_or(0.0, |goal| (space.center(exits[*number].cell) - goal).norm_squared());
             let drawn = (0..draws.max(1)).map(|_| sampler.below(exits.len()));
             let number = drawn.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
             if let Some(exit) = self.frontier.take(number) {
-                self.leave(ground, exit, target);
+                self.leave(space, exit, target);
                 return Explored::Left;
             }
         }
@@ -204,42 +201,42 @@ impl Tree {
     }
 
     /// Steers the tree through an exit.
-    fn leave<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, exit: Exit, target: Option<u32>) {
-        let pitch = ground.graph.pitch();
+    fn leave<S: LineOfSight>(&mut self, space: &SearchSpace<'_, S>, exit: Exit, target: Option<u32>) {
+        let pitch = space.graph.pitch();
         let up = exit.cell > exit.via;
         let corner = if up { exit.cell - pitch } else { exit.cell + pitch };
-        let Some(vertex) = self.thread(ground, exit.vertex, &[exit.via, corner, exit.cell]) else {
+        let Some(vertex) = self.thread(space, exit.vertex, &[exit.via, corner, exit.cell]) else {
             self.complete = false;
             return;
         };
         let mut cell = exit.cell;
         loop {
-            self.cover(ground, vertex, cell, target);
+            self.cover(space, vertex, cell, target);
             let next = if up { cell + pitch } else { cell - pitch };
-            if !ground.graph.is_free(next) || self.frontier.covers(next) {
+            if !space.graph.is_free(next) || self.frontier.covers(next) {
                 break;
             }
             cell = next;
         }
-        self.thread(ground, vertex, &[cell]);
+        self.thread(space, vertex, &[cell]);
     }
 
-    fn cover<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, vertex: u32, via: u32, target: Option<u32>) {
-        let [first, last] = self.frontier.cover(ground.graph, vertex, via);
+    fn cover<S: LineOfSight>(&mut self, space: &SearchSpace<'_, S>, vertex: u32, via: u32, target: Option<u32>) {
+        let [first, last] = self.frontier.cover(space.graph, vertex, via);
         if let Some(target) = target.filter(|target| (first..=last).contains(target)) {
-            self.thread(ground, vertex, &[via, target]);
+            self.thread(space, vertex, &[via, target]);
         }
     }
 
     /// Adds a path from a vertex to the last of some cells, through the centres of as few of the others as needed.
-    fn thread<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, vertex: u32, cells: &[u32]) -> Option<u32> {
+    fn thread<S: LineOfSight>(&mut self, space: &SearchSpace<'_, S>, vertex: u32, cells: &[u32]) -> Option<u32> {
         let (mut at, mut done) = (vertex, 0);
         while done < cells.len() {
             let from = self.point(at);
             let seen = (done..cells.len())
                 .rev()
-                .find(|i| ground.sight.sees(from, ground.center(cells[*i])))?;
-            let end = ground.center(cells[seen]);
+                .find(|i| space.sight.sees(from, space.center(cells[*i])))?;
+            let end = space.center(cells[seen]);
             if end != from {
                 at = self.add(end, at);
             }

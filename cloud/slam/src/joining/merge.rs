@@ -32,7 +32,7 @@ pub enum MergeError {
     NoCommonPlace {
         /// Searches that agree.
         votes: usize,
-        /// All searches.
+        /// Searches made, one for each submap picked.
         searches: usize,
     },
     /// Rooms or floors look alike: drive where they differ.

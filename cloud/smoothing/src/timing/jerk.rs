@@ -34,7 +34,7 @@ const SLOW: f64 = 1e-3;
 /// A law, with the solver's figures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JerkLimited {
-    /// The law.
+    /// The time law within the jerk limit.
     pub law: TimeLaw,
     /// Number of programmes solved.
     pub passes: usize,

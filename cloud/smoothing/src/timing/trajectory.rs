@@ -92,7 +92,7 @@ enum Stretch {
     },
     /// Turns on the spot, `sign` times the profile.
     Spin { start: Pose2, sign: f64, profile: Profile },
-    /// Follows a path.
+    /// Follows a path by its time law.
     Follow { path: GeometricPath, law: TimeLaw },
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use zenav_mapping::atomic::write_atomically;
+use zenav_mapping::write_atomically;
 use zenav_protocol::messages::{Annotations, GoalPoint, Refusal, Zone};
 use zenav_space::Zones;
 
@@ -68,14 +68,14 @@ impl Overlay {
         stored.map_err(Refusal::internal)?.map_err(Refusal::internal)
     }
 
-    /// Its places.
+    /// The places that it adds or moves.
     pub(super) fn places(&self) -> impl Iterator<Item = (&String, &GoalPoint)> {
         self.places
             .iter()
             .filter_map(|(name, place)| Some((name, place.as_ref()?)))
     }
 
-    /// Its zones.
+    /// The zones that it adds or changes.
     pub(super) fn zones(&self) -> impl Iterator<Item = (&String, &Zone)> {
         self.zones
             .iter()

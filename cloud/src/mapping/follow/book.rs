@@ -7,7 +7,7 @@ use zenav_protocol::topics::ANNOTATE;
 
 use super::super::MappingError;
 use super::super::annotations::AnnotationBook;
-use super::super::service::Part;
+use super::super::service::MappingService;
 use super::{Followed, PATIENCE};
 
 /// The leader's places and zones, as a copy keeps them.
@@ -24,7 +24,7 @@ impl FollowedBook {
     ///
     /// # Errors
     /// [`MappingError::Annotations`], as for a service that leads.
-    pub(super) async fn open(part: &Part, followed: &Followed) -> Result<Self, MappingError> {
+    pub(super) async fn open(part: &MappingService, followed: &Followed) -> Result<Self, MappingError> {
         let config = &part.config;
         let mut book = AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?;
         // A service that has led knows where it carried them, and without a folder all of them.

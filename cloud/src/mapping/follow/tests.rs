@@ -467,6 +467,21 @@ async fn a_leader_that_is_started_again_while_the_robot_is_off_leads_with_its_ow
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn while_a_copy_waits_for_the_robot_only_the_last_leader_s_folder_goes_before_it() {
+    let mut stage = Stage::new(PoseSource::Edge).await;
+    let (leader, _) = stage.lead().await;
+    let copy = stage.copy(1).await;
+    let is_newest = |number: usize| storage::is_of_last_leader(ROBOT, Some(&stage.folder(number)));
+    assert_eq!([0, 1, 2].map(is_newest), [true, false, false]);
+    let look = |is_newest: bool| vacancy(stage.client.clone(), ROBOT.to_owned(), is_newest);
+    assert_eq!(look(false).await, Vacancy::Taken);
+    leader.kill().await;
+    let seen = tokio::join!(look(true), look(false));
+    assert_eq!(seen, (Vacancy::Open, Vacancy::Kept));
+    stage.end([copy]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_stranger_s_word_deposes_a_leader_for_seconds_only_and_its_map_is_kept() {
     let mut stage = Stage::new(PoseSource::Edge).await;
     let (service, before) = stage.lead().await;

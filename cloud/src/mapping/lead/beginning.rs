@@ -9,7 +9,7 @@ use zenav_protocol::topics::{ALIVE_COMPONENT, alive_key};
 
 use super::super::annotations::AnnotationBook;
 use super::super::follow::{Followed, LEADER};
-use super::super::service::Part;
+use super::super::service::MappingService;
 use super::super::slam_session::Stored;
 use super::super::storage::{self, Tenancy};
 use super::super::{MappingConfig, MappingCore, MappingError, PoseSource, succession};
@@ -17,7 +17,7 @@ use super::pulse::Pulse;
 
 /// What a service begins with.
 pub(super) struct Beginning<'a> {
-    part: &'a Part,
+    part: &'a MappingService,
     followed: &'a Followed,
     /// The leader whose map is taken over.
     inherited: Option<&'a MappingLeader>,
@@ -31,7 +31,7 @@ pub(super) struct Beginning<'a> {
 
 impl<'a> Beginning<'a> {
     /// `followed`: what was known of the leader before.
-    pub(super) fn new(part: &'a Part, followed: &'a Followed) -> Self {
+    pub(super) fn new(part: &'a MappingService, followed: &'a Followed) -> Self {
         // An almost right map is better than none.
         let almost = followed.leader.as_ref().filter(|_| followed.replica.has_map());
         Self {
@@ -118,7 +118,12 @@ impl<'a> Beginning<'a> {
         let noted = storage::note_term(robot, folder, 0);
         let term = noted.max(known).saturating_add(1);
         // Before anybody hears of it.
-        storage::note_term(robot, folder, term);
+        if self.inherited.is_none() || self.is_leaders_folder {
+            storage::note_leadership(robot, folder, term);
+        } else {
+            // What is stored there is older than the inherited map.
+            storage::note_term(robot, folder, term);
+        }
         let leader = MappingLeader {
             name: self.part.name.clone(),
             term,

@@ -2,8 +2,7 @@
 //!
 //! Encoding a large map takes longer than a scan may wait, so it runs on Tokio's blocking threads, from a snapshot.
 
-use zenav_mapping::map_image;
-use zenav_mapping::map_yaml::MapMode;
+use zenav_mapping::map_image::{self, MapMode};
 use zenav_protocol::bus::Request;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{MapReply, MapRequest, Refusal};

@@ -47,7 +47,7 @@ use zenav_protocol::time::Stamp;
 use super::annotations::AnnotationBook;
 use super::follow::Followed;
 use super::metrics::MappingMetrics;
-use super::service::{Part, Turn};
+use super::service::{MappingService, Turn};
 use super::storage::Tenancy;
 use super::{MappingConfig, MappingCore, MappingError, succession};
 
@@ -66,7 +66,7 @@ use session::KeptSession;
 ///
 /// # Errors
 /// [`MappingError`], as for [`run`](super::run).
-pub(super) async fn lead(part: &Part, mut followed: Followed) -> Result<Turn, MappingError> {
+pub(super) async fn lead(part: &MappingService, mut followed: Followed) -> Result<Turn, MappingError> {
     let (bus, clock, robot) = (&part.bus, &part.clock, part.config.robot.as_str());
     let mut rivals = Rivals::listen(bus, robot)?;
     let waiting = Waiting::open(bus, robot)?;
@@ -144,7 +144,7 @@ struct Leadership {
 
 impl Leadership {
     /// Begins the next term, and loads the map or takes it over.
-    async fn begin(part: &Part, followed: &Followed) -> Result<Self, MappingError> {
+    async fn begin(part: &MappingService, followed: &Followed) -> Result<Self, MappingError> {
         let mut beginning = Beginning::new(part, followed);
         beginning.tell();
         let tenancy = beginning.lock_folder().await?;
@@ -191,8 +191,14 @@ impl Leadership {
     }
 
     /// Draws scans and answers requests until this service ends or steps back.
-    async fn go_on(&mut self, part: &Part, mut company: Company, rivals: &mut Rivals, inbox: &mut Inbox) -> Ending {
-        let Part {
+    async fn go_on(
+        &mut self,
+        part: &MappingService,
+        mut company: Company,
+        rivals: &mut Rivals,
+        inbox: &mut Inbox,
+    ) -> Ending {
+        let MappingService {
             bus, clock, shutdown, ..
         } = part;
         let robot = part.config.robot.as_str();

@@ -58,7 +58,7 @@ impl MotionWorker {
             radius,
             courses: &plan.yield_to,
         };
-        let space = self.spaces.get(map, &model.footprint, policy, Fit::Roomy);
+        let space = self.spaces.get(map, &model.footprint, policy, Fit::Full);
         let space = space.for_disc(radius);
         let budget = Budget {
             max_expansions: self.settings.planning.max_expansions,

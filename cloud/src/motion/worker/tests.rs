@@ -277,6 +277,36 @@ fn a_long_body_backs_out_of_a_lane_in_which_it_cannot_turn_and_drives_on_forward
     assert!((trajectory.last().unwrap().position() - request.plan.goal.position()).norm() < 1e-6);
 }
 
+#[test]
+fn a_given_path_is_driven_backwards_where_it_says_so_and_an_index_of_no_leg_is_refused() {
+    let map = hall(1.5);
+    let mut request = request("tiago", "astar");
+    (request.plan.start, request.goal_yaw) = (Pose2::new(2.0, 1.0, 0.0), None);
+    let path = [(2.0, 1.0), (1.0, 1.0), (1.0, 2.5)].map(|(x, y)| Point2::new(x, y));
+    let answer = |backwards: &[usize]| {
+        let request = request.smooth(map.map().clone(), path.to_vec(), backwards.to_vec());
+        let request = MotionRequest::Smooth(request);
+        MotionWorker::default().answer(Some(&map), &request, &mut || 0.0, &Cancel::default())
+    };
+    let Ok(MotionReply::Smooth(reply)) = answer(&[0]) else {
+        panic!("no trajectory")
+    };
+    let driven = reply.trajectory.spaced(0.0, 0.05, 0.1);
+    let first: Vec<TrajectoryPoint> = driven.filter(|point| (1.2..1.8).contains(&point.x)).collect();
+    assert!(
+        !first.is_empty() && first.iter().all(|point| point.v < 0.0 && point.yaw.abs() < 0.1),
+        "{reply:?}"
+    );
+    assert!(reply.trajectory.iter().any(|point| point.v > 0.1 && point.y > 1.2));
+    for bad in [&[2][..], &[1, 0], &[0, 0], &[usize::MAX]] {
+        let refused = answer(bad).unwrap_err().to_string();
+        assert!(
+            refused.starts_with("bad request: `backwards`") && refused.contains("2 legs"),
+            "{refused}"
+        );
+    }
+}
+
 /// A robot of 0.3 m radius at constant velocity from a place on, for 30 s.
 fn course(from: [f64; 2], velocity: [f64; 2]) -> KnownCourse {
     let place = |secs: f64| CoursePlace {

@@ -30,7 +30,7 @@ pub use motion::{MotionVerdict, Uncompared};
 
 /// What can be recomputed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Part {
+pub enum Recomputable {
     /// Maps from scans
     Mapping,
     /// Trajectories from requests
@@ -69,7 +69,7 @@ pub struct Recomputed {
 }
 
 /// `zenav replay FILE --recompute PARTS`.
-pub(super) fn run(file: &Path, parts: &[Part], deployment: Option<&Path>, format: Format) -> Outcome {
+pub(super) fn run(file: &Path, parts: &[Recomputable], deployment: Option<&Path>, format: Format) -> Outcome {
     let deployment = deployment.map(|path| config::load(Some(path))).transpose()?;
     let recomputed = recompute(file, parts, deployment.as_ref())?;
     output::value(format, &recomputed, table)?;
@@ -84,14 +84,14 @@ pub(super) fn run(file: &Path, parts: &[Part], deployment: Option<&Path>, format
 ///
 /// # Errors
 /// A bad record, or one with another message version.
-pub fn recompute(file: &Path, parts: &[Part], deployment: Option<&Deployment>) -> Result<Recomputed, Failure> {
+pub fn recompute(file: &Path, parts: &[Recomputable], deployment: Option<&Deployment>) -> Result<Recomputed, Failure> {
     RecordReader::open(file)?.check_messages()?;
     let mut settings = RunSettings::of(file, deployment.map(PartSettings::of))?;
     let mut recomputed = Recomputed {
         identical: true,
         ..Recomputed::default()
     };
-    if parts.contains(&Part::Mapping) {
+    if parts.contains(&Recomputable::Mapping) {
         recomputed.maps = mapping::recompute(file, &mut settings)?;
         recomputed.identical &= !recomputed.maps.is_empty() && recomputed.maps.iter().all(|map| map.identical);
         if recomputed.maps.is_empty() {
@@ -99,7 +99,7 @@ pub fn recompute(file: &Path, parts: &[Part], deployment: Option<&Deployment>) -
             recomputed.notes.push(note.to_owned());
         }
     }
-    if parts.contains(&Part::Motion) {
+    if parts.contains(&Recomputable::Motion) {
         recomputed.motion = motion::recompute(file, &mut settings)?;
         recomputed.identical &=
             !recomputed.motion.is_empty() && recomputed.motion.iter().all(|worker| worker.identical);

@@ -355,7 +355,7 @@ mod tests {
     use zenav_protocol::geometry::{Pose2, Twist2};
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{
-        DrivingProfile, MapInfo, MotionRequest, PlanOutcome, PlanRequest, TILE, Tile, TrajectoryRequest,
+        DrivingProfile, MapInfo, MotionRequest, PlanOutcome, TILE, Tile, TrajectoryRequest,
     };
     use zenav_protocol::time::Stamp;
 
@@ -416,23 +416,9 @@ mod tests {
     }
 
     fn request(x: f64) -> MotionRequest {
+        let (start, goal) = (Pose2::new(x, 1.025, 0.0), Pose2::new(5.525, 1.025, 0.0));
         MotionRequest::Trajectory(TrajectoryRequest {
-            plan: PlanRequest {
-                robot: "r".to_owned(),
-                model: zenav_fixtures::robot("tiago"),
-                map: map(3),
-                start: Pose2::new(x, 1.025, 0.0),
-                via: Vec::new(),
-                goal: Pose2::new(5.525, 1.025, 0.0),
-                planner: "astar".to_owned(),
-                unknown_is_free: false,
-                cleared: Vec::new(),
-                yield_to: Vec::new(),
-                escape: 0.0,
-                goal_tolerance: 0.0,
-                budget_ms: 5000,
-                seed: 1,
-            },
+            plan: zenav_fixtures::plan_request("r", map(3), start, goal),
             start_velocity: Twist2::ZERO,
             goal_yaw: Some(0.0),
             profile: DrivingProfile::default(),

@@ -1,7 +1,7 @@
 //! Bounds. The bounds of each search, and the bounds in which the contract breaks without a rule.
 
 use super::{Rule, System};
-use crate::check::{Part, Size};
+use crate::check::{ContractModel, Size};
 
 /// Bounds on the number of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -22,7 +22,7 @@ pub struct Bounds {
 #[derive(Debug)]
 pub struct Handover;
 
-impl Part for Handover {
+impl ContractModel for Handover {
     type Rule = Rule;
     type Bounds = Bounds;
     type System = System;

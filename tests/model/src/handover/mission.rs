@@ -2,11 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use zenav_mission::context::Asks;
-use zenav_mission::lease::LeaseClient;
-use zenav_mission::membership::Membership;
-use zenav_mission::records::Leadership;
-use zenav_mission::standby::{JournalPosition, Verdict, judge};
+use zenav_mission::{Asks, JournalPosition, JournalVerdict, Leadership, LeaseClient, Membership, judge_entry};
 use zenav_protocol::messages::{JournalEntry, JournalWrite};
 use zenav_protocol::time::Stamp;
 
@@ -248,9 +244,9 @@ impl Following {
             },
         };
         let word = self.word.as_ref().map(List::leader);
-        match judge(&entry, word.as_ref(), &place) {
-            Ok(Verdict::Known) => Some(Some(self.position)),
-            Ok(Verdict::Take { instead }) => {
+        match judge_entry(&entry, word.as_ref(), &place) {
+            Ok(JournalVerdict::Known) => Some(Some(self.position)),
+            Ok(JournalVerdict::Take { instead }) => {
                 if instead {
                     disk.goals.clear();
                 }

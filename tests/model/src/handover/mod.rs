@@ -2,9 +2,8 @@
 //! their arbiter: join, catch up, take over, wake.
 //!
 //! The robot is a [`LeaseArbiter`](zenav_protocol::lease::LeaseArbiter). A mission requests the lease by its
-//! [`LeaseClient`](zenav_mission::lease::LeaseClient), tracks its standby by its
-//! [`Membership`](zenav_mission::membership::Membership), and judges its leader's journal by
-//! [`judge`](zenav_mission::standby::judge) and [`may_lead`](zenav_mission::standby::may_lead). A store is the content of the disk: goals,
+//! [`LeaseClient`](zenav_mission::LeaseClient), tracks its standby by its [`Membership`](zenav_mission::Membership), and judges its leader's
+//! journal by [`judge_entry`](zenav_mission::judge_entry) and [`may_lead`](zenav_mission::may_lead). A store is the content of the disk: goals,
 //! and how each ended. A paused mission does nothing for a while; its clock runs on. A request for the lease echoes the robot's time when it was
 //! sent: the later it arrives, the longer the grant waits for its first heartbeat.
 //!

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use zenav_mission::io::{Answer, Ask, NoAnswer, Ticket};
+use zenav_mission::{Answer, Ask, NoAnswer, Ticket};
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{Leader, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Refusal};
 use zenav_protocol::time::Stamp;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use stateright::{Model, Property};
-use zenav_mission::standby::may_lead;
+use zenav_mission::may_lead;
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{EdgeState, LeaseAction};
 

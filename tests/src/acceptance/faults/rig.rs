@@ -12,7 +12,7 @@ use zenav_protocol::bus::{Bus, BusConfig};
 use zenav_protocol::messages::LostPolicy;
 
 use super::OWN_NETWORK;
-use super::rows::{Fault, Line, Part, Place, Row};
+use super::rows::{Fault, Line, PartKind, Place, Row};
 use crate::deployment::ROBOT;
 use crate::process::{Process, free_endpoint, words};
 use crate::usage::memory;
@@ -31,7 +31,7 @@ pub struct Rig {
     /// The robot's own endpoint.
     robot: String,
     proxy: Option<Process>,
-    parts: Vec<(Part, Process)>,
+    parts: Vec<(PartKind, Process)>,
     lossy: Option<u32>,
     cut: bool,
     /// The row's fault; its part is started so that its clock can be stepped or its disk filled.
@@ -75,7 +75,7 @@ impl Rig {
         rig.set_clock(0).map_err(|error| error.to_string())?;
         rig.write_deployment(row).map_err(|error| error.to_string())?;
         rig.impair(row.line)?;
-        let copy = row.has_copy.then_some(Part::Copy);
+        let copy = row.has_copy.then_some(PartKind::Copy);
         for part in row.order.into_iter().chain(copy) {
             let process = rig.process(part);
             rig.parts.push((part, process));
@@ -180,26 +180,26 @@ impl Rig {
         }
     }
 
-    fn process(&self, part: Part) -> Process {
+    fn process(&self, part: PartKind) -> Process {
         let start = |arguments: &[&str]| self.start_as(part, arguments);
         let cloud_in = |service, data| start(&["cloud", service, "--deployment", "cloud.toml", "--data", data]);
         let cloud = |service| cloud_in(service, "cloud");
         match part {
             // Without a proxy the robot has its own endpoint at the router, so that only its link is impaired.
-            Part::Router if self.proxy.is_none() => {
+            PartKind::Router if self.proxy.is_none() => {
                 start(&["router", "--listen", &self.router, "--listen", &self.line])
             }
-            Part::Router => start(&["router", "--listen", &self.router]),
-            Part::Edge => start(&["edge", "--deployment", "edge.toml", "--data", "edge"]),
-            Part::Mapping => cloud("mapping"),
-            Part::Motion => cloud("motion"),
-            Part::Mission => cloud("mission"),
-            Part::Copy => cloud_in("mapping", "copy"),
+            PartKind::Router => start(&["router", "--listen", &self.router]),
+            PartKind::Edge => start(&["edge", "--deployment", "edge.toml", "--data", "edge"]),
+            PartKind::Mapping => cloud("mapping"),
+            PartKind::Motion => cloud("motion"),
+            PartKind::Mission => cloud("mission"),
+            PartKind::Copy => cloud_in("mapping", "copy"),
         }
     }
 
     /// Starts a part so that the row's fault can be injected into it.
-    fn start_as(&self, part: Part, arguments: &[&str]) -> Process {
+    fn start_as(&self, part: PartKind, arguments: &[&str]) -> Process {
         let (binary, folder) = (self.binary.to_string_lossy(), self.folder.path());
         match self.fault {
             // A write without room returns an error instead of raising a signal.
@@ -235,7 +235,7 @@ impl Rig {
     ///
     /// # Errors
     /// When the kernel refuses.
-    pub fn set_room(&self, part: Part, room: bool) -> Result<(), String> {
+    pub fn set_room(&self, part: PartKind, room: bool) -> Result<(), String> {
         let process = self.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
         let current = if room { None } else { Some(0) };
         let id = i32::try_from(process.id()).ok().and_then(Pid::from_raw);
@@ -251,7 +251,7 @@ impl Rig {
     }
 
     /// Kills a part and starts another one in its place.
-    pub fn replace(&mut self, part: Part) {
+    pub fn replace(&mut self, part: PartKind) {
         let old = self.parts.iter().position(|(known, _)| *known == part);
         if let Some(place) = old {
             let (_, mut process) = self.parts.swap_remove(place);
@@ -262,7 +262,7 @@ impl Rig {
     }
 
     /// A part's process.
-    pub fn part(&self, part: Part) -> Option<&Process> {
+    pub fn part(&self, part: PartKind) -> Option<&Process> {
         self.parts
             .iter()
             .find(|(known, _)| *known == part)
@@ -271,7 +271,7 @@ impl Rig {
 
     /// The part that runs in a process.
     #[must_use]
-    pub fn part_of(&self, process: u32) -> Option<Part> {
+    pub fn part_of(&self, process: u32) -> Option<PartKind> {
         self.parts
             .iter()
             .find(|(_, known)| known.id() == process)
@@ -280,8 +280,8 @@ impl Rig {
 
     /// Memory of every part, MiB, by part and process.
     #[must_use]
-    pub fn memory(&self) -> BTreeMap<(Part, u32), f64> {
-        let resident = |(part, process): &(Part, Process)| {
+    pub fn memory(&self) -> BTreeMap<(PartKind, u32), f64> {
+        let resident = |(part, process): &(PartKind, Process)| {
             let bytes = memory(process.id()).unwrap_or_default();
             ((*part, process.id()), bytes as f64 / (1024.0 * 1024.0))
         };

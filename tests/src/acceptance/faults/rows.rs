@@ -4,7 +4,7 @@ use zenav_protocol::messages::LostPolicy;
 
 /// A part of a deployment, in its own process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Part {
+pub enum PartKind {
     /// The router.
     Router,
     /// The robot.
@@ -20,9 +20,15 @@ pub enum Part {
 }
 
 /// The parts of every row, in the usual starting order.
-pub const PARTS: [Part; 5] = [Part::Router, Part::Edge, Part::Mapping, Part::Motion, Part::Mission];
+pub const PARTS: [PartKind; 5] = [
+    PartKind::Router,
+    PartKind::Edge,
+    PartKind::Mapping,
+    PartKind::Motion,
+    PartKind::Mission,
+];
 
-impl Part {
+impl PartKind {
     /// Its name in the table.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -67,13 +73,13 @@ pub enum Fault {
     /// The robot's link is cut.
     Cut(u32),
     /// A part is killed, and restarted at once.
-    Kill(Part),
+    Kill(PartKind),
     /// A part is frozen.
-    Freeze(Part, u32),
+    Freeze(PartKind, u32),
     /// A part's disk is full.
-    Full(Part, u32),
+    Full(PartKind, u32),
     /// A part's wall clock is an hour ahead.
-    Clock(Part, u32),
+    Clock(PartKind, u32),
     /// Recent messages are republished on every key at ten times their rate.
     Flood(u32),
     /// A second robot of the same name is on the bus.
@@ -101,7 +107,7 @@ pub struct Row {
     /// Least number of missions.
     pub missions: usize,
     /// Starting order of the parts.
-    pub order: [Part; 5],
+    pub order: [PartKind; 5],
     /// Whether a second mapper follows the first one. A fault of the mapper then hits the one that leads.
     pub has_copy: bool,
 }
@@ -191,7 +197,7 @@ pub fn all() -> Vec<Row> {
             rows.push(Row::fault(place, &format!("cuts of {secs} s"), Fault::Cut(secs), times));
         }
         for part in PARTS {
-            let what = if part == Part::Router {
+            let what = if part == PartKind::Router {
                 "router replaced".to_owned()
             } else {
                 format!("{} killed", part.name())
@@ -203,12 +209,12 @@ pub fn all() -> Vec<Row> {
             rows.push(Row::fault(place, &what, Fault::Freeze(part, 5), 2));
         }
         for (what, fault, times) in [
-            ("mapping killed", Fault::Kill(Part::Mapping), 3),
-            ("mapping frozen for 5 s", Fault::Freeze(Part::Mapping, 5), 2),
+            ("mapping killed", Fault::Kill(PartKind::Mapping), 3),
+            ("mapping frozen for 5 s", Fault::Freeze(PartKind::Mapping, 5), 2),
         ] {
             rows.push(Row::fault(place, what, fault, times).copied());
         }
-        for part in [Part::Edge, Part::Mapping, Part::Mission] {
+        for part in [PartKind::Edge, PartKind::Mapping, PartKind::Mission] {
             let what = format!("disk of {} full for 5 s", part.name());
             rows.push(Row::fault(place, &what, Fault::Full(part, 5), 2));
         }
@@ -264,14 +270,14 @@ pub fn short() -> Vec<Row> {
     [
         Row::line(Place::Kitchen, "round trip 200 ms", Line::RoundTrip(200)),
         Row::fault(Place::Kitchen, "cut of 5 s", Fault::Cut(5), 1),
-        Row::fault(Place::Kitchen, "mission killed", Fault::Kill(Part::Mission), 1),
+        Row::fault(Place::Kitchen, "mission killed", Fault::Kill(PartKind::Mission), 1),
     ]
     .map(one)
     .into()
 }
 
-fn orders() -> [(&'static str, [Part; 5]); 3] {
-    use Part::{Edge, Mapping, Mission, Motion, Router};
+fn orders() -> [(&'static str, [PartKind; 5]); 3] {
+    use PartKind::{Edge, Mapping, Mission, Motion, Router};
     [
         ("started backwards", [Mission, Motion, Mapping, Edge, Router]),
         ("robot first, router last", [Edge, Mapping, Motion, Mission, Router]),

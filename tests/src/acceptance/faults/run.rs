@@ -15,7 +15,7 @@ use super::copies::{self, Copies};
 use super::flood::Flood;
 use super::result::{Memory, Result};
 use super::rig::Rig;
-use super::rows::{Fault, Part, Place, Row};
+use super::rows::{Fault, PartKind, Place, Row};
 use super::watch::Watch;
 use crate::deployment::ROBOT;
 
@@ -200,8 +200,8 @@ impl Running<'_> {
     }
 
     /// The part that a fault of this part hits: of two mapping services the one that leads.
-    async fn hit(&self, client: &Bus, part: Part) -> std::result::Result<Part, String> {
-        if self.copies.is_none() || part != Part::Mapping {
+    async fn hit(&self, client: &Bus, part: PartKind) -> std::result::Result<PartKind, String> {
+        if self.copies.is_none() || part != PartKind::Mapping {
             return Ok(part);
         }
         let process = copies::leading(client).await?;

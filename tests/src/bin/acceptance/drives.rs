@@ -4,7 +4,7 @@ use std::path::Path;
 
 use zenav_edge::trackers::LAWS;
 use zenav_fixtures::{Row, robot};
-use zenav_mapping::map_file::read_map;
+use zenav_mapping::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::robot::RobotModel;

@@ -1,0 +1,136 @@
+//! Tests of paths with legs that are driven backwards, from ComputePathToPose to FollowPath.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use std::time::Duration;
+
+use nalgebra::Point2;
+use zenav_behaviour_tree::{Status, Tree};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::{MotionReply, MotionRequest, PlanReply, SmoothRequest, TrajectoryReply};
+use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
+
+use super::parse_path;
+use crate::context::Context;
+use crate::io::{Answer, Ask};
+use crate::rig::Rig;
+use crate::trees::build;
+
+/// A tree, and a robot at the origin that faces along x.
+struct Drive {
+    rig: Rig,
+    tree: Tree<Context>,
+}
+
+impl Drive {
+    fn new(nodes: &str) -> Self {
+        let text = format!(r#"<root BTCPP_format="4"><BehaviorTree ID="Main">{nodes}</BehaviorTree></root>"#);
+        Self {
+            rig: Rig::new(),
+            tree: build(&text).unwrap(),
+        }
+    }
+
+    fn tick(&mut self, secs: f64) -> Status {
+        self.rig.at(secs);
+        let status = self.tree.tick(Duration::from_secs_f64(secs), &mut self.rig.ctx);
+        status.unwrap()
+    }
+
+    /// Ticks; then a motion worker answers, in the next tick.
+    fn told(&mut self, secs: f64, reply: MotionReply) -> Status {
+        assert_eq!(self.tick(secs), Status::Running, "{:?}", self.rig.ctx.goal.failure);
+        self.rig.answer(reply);
+        self.tick(secs + 0.05)
+    }
+
+    /// A motion worker is asked to smooth a path, and answers.
+    fn smooths(&mut self, reply: Trajectory) -> SmoothRequest {
+        let asked = self.rig.ctx.asks.take_new().into_iter();
+        let mut requests = asked.filter_map(|(ticket, ask)| match ask {
+            Ask::Motion(request) => Some((ticket, *request)),
+            _ => None,
+        });
+        let Some((ticket, MotionRequest::Smooth(request))) = requests.next() else {
+            panic!("nothing is to be smoothed")
+        };
+        let reply = MotionReply::Smooth(self.rig.smooth(reply));
+        self.rig.ctx.asks.answer(ticket, Ok(Answer::Motion(Box::new(reply))));
+        request
+    }
+
+    /// Corners of a path on the blackboard, m along x, and its legs that are driven backwards.
+    fn path(&self, key: &str) -> (Vec<f64>, Vec<usize>) {
+        let path = parse_path(self.tree.blackboard().get(key).unwrap()).unwrap();
+        (along(&path.points), path.backwards)
+    }
+}
+
+fn along(points: &[Point2<f64>]) -> Vec<f64> {
+    points.iter().map(|point| point.x).collect()
+}
+
+/// One metre backwards, then ahead to the goal.
+fn backs() -> Trajectory {
+    let at = |(t, x, v)| TrajectoryPoint {
+        t,
+        x,
+        v,
+        ..TrajectoryPoint::default()
+    };
+    let points = [
+        (0.0, 0.0, 0.0),
+        (1.0, -0.5, -0.5),
+        (2.0, -1.0, 0.0),
+        (5.0, 5.0, 0.5),
+        (8.0, 12.0, 0.0),
+    ];
+    points.map(at).into_iter().collect()
+}
+
+#[test]
+fn a_leg_that_is_planned_backwards_stays_so_until_it_is_driven() {
+    let mut drive = Drive::new(
+        r#"<Sequence>
+          <ComputePathToPose goal="12;0" path="{path}"/>
+          <SmoothPath unsmoothed_path="{path}" smoothed_path="{smooth}"/>
+          <FollowPath path="{smooth}" tracking_feedback="{tracking}"/>
+        </Sequence>"#,
+    );
+    let expected = (vec![0.0, -1.0, 12.0], vec![0]);
+    let plan = PlanReply {
+        backwards: vec![0],
+        ..drive.rig.found(&[(-1.0, 0.0)])
+    };
+    let found = TrajectoryReply {
+        smooth: Some(drive.rig.smooth(backs())),
+        plan,
+        arrival_secs: None,
+    };
+    assert_eq!(drive.told(2.0, MotionReply::Trajectory(found)), Status::Running);
+    assert_eq!(drive.path("path"), expected);
+    let request = drive.smooths(backs());
+    assert_eq!((along(&request.path), request.backwards), expected);
+    assert!(request.start.distance(&Pose2::IDENTITY) < 1e-9 && request.start.yaw.abs() < 1e-9);
+    assert_eq!(drive.tick(2.1), Status::Running);
+    assert_eq!(drive.path("smooth"), expected);
+    let request = drive.smooths(backs());
+    assert_eq!((along(&request.path), request.backwards), expected);
+    let tracking = drive.tree.blackboard().get("tracking").unwrap().to_json();
+    let error = tracking["heading_tracking_error"].as_f64().unwrap();
+    assert!(error.abs() < 1e-9, "it faces away from where it drives: {error}");
+}
+
+#[test]
+fn a_path_from_elsewhere_has_the_planned_reverse_legs_and_an_index_of_no_leg_fails() {
+    for (backwards, status) in [(vec![0], Status::Success), (vec![2], Status::Failure)] {
+        let mut drive = Drive::new(r#"<ComputePathToPose goal="12;0" start="0;0;0" path="{path}"/>"#);
+        let plan = PlanReply {
+            backwards,
+            ..drive.rig.found(&[(-1.0, 0.0)])
+        };
+        assert_eq!(drive.told(2.0, MotionReply::Plan(plan)), status);
+        if status == Status::Success {
+            assert_eq!(drive.path("path"), (vec![0.0, -1.0, 12.0], vec![0]));
+        }
+    }
+}
