@@ -11,8 +11,6 @@ use nalgebra::{Isometry2, Point2, Vector2};
 use crate::field_of_view::ProjectedScan;
 use crate::passive_safety::Mover;
 
-/// Radius of a person, m.
-const PERSON: f64 = 0.25;
 /// Thickness of what hides a person at least, m.
 const THICKNESS: f64 = 0.2;
 /// Corners farther than this from the lidar are left out, m.
@@ -33,25 +31,28 @@ pub(crate) struct BlindCorner {
 }
 
 impl BlindCorner {
-    /// The person, in another frame, who comes round the corner at a speed, m/s.
-    pub(crate) fn person(&self, frame_from_odom: &Isometry2<f64>, speed: f64) -> Mover {
+    /// The person of this radius (m), in another frame, who comes round the corner at a speed, m/s.
+    pub(crate) fn person(&self, frame_from_odom: &Isometry2<f64>, radius: f64, speed: f64) -> Mover {
         Mover {
-            travelled: PERSON - (self.place - self.corner).norm(),
+            travelled: radius - (self.place - self.corner).norm(),
             ..Mover::at_will(frame_from_odom * self.corner, 0.0, speed)
         }
     }
 }
 
-/// Finds the blind corners in a scan with these (filtered) ranges. Behind something that moves nobody is assumed.
+/// Finds the blind corners in a scan with these (filtered) ranges, for people of this radius, m. Behind something that moves nobody is
+/// assumed.
 pub(crate) fn find(
     scan: &ProjectedScan<'_>,
     ranges: &[f32],
+    radius: f64,
     moves: impl Fn(Point2<f64>) -> bool,
     corners: &mut Vec<BlindCorner>,
 ) {
     let view = View {
         scan,
         ranges,
+        radius,
         is_circle: scan.lidar.gap() == 0.0,
     };
     let seam = (view.is_circle && ranges.len() > 1).then(|| [ranges.len() - 1, 0]);
@@ -64,6 +65,8 @@ pub(crate) fn find(
 struct View<'a> {
     scan: &'a ProjectedScan<'a>,
     ranges: &'a [f32],
+    /// Radius of a person, m.
+    radius: f64,
     is_circle: bool,
 }
 
@@ -89,7 +92,7 @@ impl View<'_> {
     fn behind(&self, right: usize, left: usize, moves: impl Fn(Point2<f64>) -> bool) -> Option<BlindCorner> {
         let [at_right, at_left] = [self.range(right)?, self.range(left)?];
         let (near, far) = (at_right.min(at_left), at_right.max(at_left));
-        if far - near < 2.0 * PERSON || near > RANGE {
+        if far - near < 2.0 * self.radius || near > RANGE {
             return None;
         }
         let hides_left = at_left < at_right;
@@ -103,7 +106,7 @@ impl View<'_> {
         let ways = (0..STEPS)
             .map(|step| STEP * f64::from(step))
             .take_while(|way| *way < far - near);
-        let mut tried = ways.map(|way| corner + along * way + aside * PERSON);
+        let mut tried = ways.map(|way| corner + along * way + aside * self.radius);
         let place = tried.find(|place| self.hides(*place))?;
         Some(BlindCorner { corner, place })
     }
@@ -118,10 +121,10 @@ impl View<'_> {
             let Some((range, before)) = self.range(beam).zip(last) else {
                 continue;
             };
-            if (range - before).abs() >= 2.0 * PERSON {
+            if (range - before).abs() >= 2.0 * self.radius {
                 return false;
             }
-            if (self.scan.laser() + self.scan.rays[beam] * range - corner).norm() >= 2.0 * PERSON {
+            if (self.scan.laser() + self.scan.rays[beam] * range - corner).norm() >= 2.0 * self.radius {
                 return true;
             }
             last = Some(range);
@@ -137,11 +140,11 @@ impl View<'_> {
                 return true;
             };
             let ray = self.scan.rays[beam];
-            if ray.dot(&off) <= 0.0 || ray.perp(&off).abs() >= 2.0 * PERSON {
+            if ray.dot(&off) <= 0.0 || ray.perp(&off).abs() >= 2.0 * self.radius {
                 return true;
             }
             let met = self.range(beam).filter(|range| *range < self.scan.lidar.range_max);
-            if met.is_some_and(|range| (laser + ray * range - corner).norm() < 2.0 * PERSON) {
+            if met.is_some_and(|range| (laser + ray * range - corner).norm() < 2.0 * self.radius) {
                 return false;
             }
         }
@@ -151,20 +154,20 @@ impl View<'_> {
     /// Whether a person at a place is hidden altogether.
     fn hides(&self, place: Point2<f64>) -> bool {
         let off = place - self.scan.laser();
-        let Some((middle, distance)) = self.scan.beam_to(place).filter(|(_, distance)| *distance > PERSON) else {
+        let Some((middle, distance)) = self.scan.beam_to(place).filter(|(_, distance)| *distance > self.radius) else {
             return false;
         };
-        let half = ((PERSON / distance).asin() / self.scan.lidar.angle_increment()).ceil() as i64;
+        let half = ((self.radius / distance).asin() / self.scan.lidar.angle_increment()).ceil() as i64;
         (middle as i64 - half..=middle as i64 + half).all(|number| {
             let Some(beam) = self.beam(number) else {
                 return false;
             };
             let ray = self.scan.rays[beam];
             let (ahead, aside) = (ray.dot(&off), ray.perp(&off).abs());
-            let Some(range) = self.range(beam).filter(|_| aside < PERSON - SLACK) else {
+            let Some(range) = self.range(beam).filter(|_| aside < self.radius - SLACK) else {
                 return true;
             };
-            range + THICKNESS <= ahead - (PERSON * PERSON - aside * aside).sqrt() + SLACK
+            range + THICKNESS <= ahead - (self.radius * self.radius - aside * aside).sqrt() + SLACK
         })
     }
 }
@@ -202,6 +205,10 @@ mod tests {
 
     /// What a robot at a place sees between walls.
     fn seen(model: &RobotModel, x: f64, walls: &[Wall]) -> LocalObstacles {
+        seen_with(model, x, walls, &EdgeSettings::default())
+    }
+
+    fn seen_with(model: &RobotModel, x: f64, walls: &[Wall], settings: &EdgeSettings) -> LocalObstacles {
         let lidar = model.first_lidar().unwrap();
         let laser = Pose2::new(x, 0.0, 0.0) * lidar.mount;
         let sweep = zenav_fixtures::sweep(lidar, 1.0, |angle| {
@@ -210,7 +217,7 @@ mod tests {
             let seen = ways.filter(|range| *range <= lidar.range_max);
             seen.fold(f64::INFINITY, f64::min)
         });
-        let mut obstacles = LocalObstacles::new(model);
+        let mut obstacles = LocalObstacles::with_settings(model, settings);
         assert!(obstacles.insert(&sweep, Pose2::new(x, 0.0, 0.0)));
         obstacles
     }
@@ -264,7 +271,7 @@ mod tests {
         let behind = places(1.0, &corridor(1.5));
         let corner = Point2::new(2.0, 0.75);
         assert!(behind.iter().any(|place| (place - corner).norm() < 1.0), "{behind:?}");
-        assert!(behind.iter().all(|place| place.y > 0.75 + PERSON), "{behind:?}");
+        assert!(behind.iter().all(|place| place.y > 0.75 + 0.25), "{behind:?}");
         let post = [wall([2.0, -0.1], [2.0, 0.1]), wall([5.0, -4.0], [5.0, 4.0])];
         assert!(places(1.0, &post).is_empty());
         assert!(places(1.0, &[wall([3.0, -5.0], [3.0, 5.0])]).is_empty());
@@ -275,6 +282,16 @@ mod tests {
             wall([4.0, -4.0], [4.0, 4.0]),
         ];
         assert!(places(1.0, &gap).is_empty());
+    }
+
+    #[test]
+    fn the_width_of_a_person_is_a_setting() {
+        let (tiago, mut settings) = (zenav_fixtures::robot("tiago"), EdgeSettings::default());
+        let corners =
+            |settings: &EdgeSettings| seen_with(&tiago, 1.0, &corridor(1.5), settings).blind_corners().count();
+        assert!(corners(&settings) > 0);
+        settings.passive_safety.person_radius = 1.0;
+        assert_eq!(corners(&settings), 0, "the opening is 1.5 m wide");
     }
 
     #[test]

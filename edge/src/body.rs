@@ -48,6 +48,11 @@ pub trait Body: Send {
     fn gives_the_pace(&self) -> bool {
         false
     }
+
+    /// Whether [`read`](Self::read) itself refuses stamps that cannot be the body's true time; otherwise the caller does.
+    fn judges_stamps(&self) -> bool {
+        false
+    }
 }
 
 /// The hardware did not answer.

@@ -290,7 +290,10 @@ impl CollisionMonitor {
         let speed = self.passive_safety.speed_round_corners(self.model.drive.top_speed());
         let base_from_odom = rigid(odom_from_base).inverse();
         let corners = obstacles.blind_corners().filter(|_| speed > 0.0);
-        corners.map(|corner| corner.person(&base_from_odom, speed)).collect()
+        let radius = self.passive_safety.person_radius;
+        corners
+            .map(|corner| corner.person(&base_from_odom, radius, speed))
+            .collect()
     }
 
     fn motion(&self, wanted: Twist2, age: f64) -> BrakingMotion<'_> {

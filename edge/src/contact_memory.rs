@@ -7,10 +7,10 @@
 //! Letters 5, 1976).
 //!
 //! Known are the places of the contacts, and the surface between two of them if the robot does not fit through: a wider gap may be an open
-//! door. The rest is assumed for a minute after the last contact.
+//! door. The rest is assumed for a minute after the last contact, unless set.
 //!
-//! Surfaces are kept in the odometry frame. A surface is forgotten ten minutes after the last contact with it, and when the robot is far away
-//! or was found anew; points of it are forgotten when the robot's body passes over them without contact.
+//! Surfaces are kept in the odometry frame. A surface is forgotten ten minutes after the last contact with it, unless set, and when the robot
+//! is far away or was found anew; points of it are forgotten when the robot's body passes over them without contact.
 
 use std::collections::VecDeque;
 use std::f64::consts::FRAC_PI_4;
@@ -21,6 +21,7 @@ use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
 use crate::field_of_view::rigid;
+use crate::settings::ContactMemorySettings;
 
 /// Most surfaces remembered; the oldest is dropped first. Also the most lines reported.
 const MOST: usize = 32;
@@ -30,10 +31,6 @@ const LONGEST: f64 = 8.0;
 const HALF_WIDTH: f64 = 1.5;
 /// Spacing of the points of a surface, m.
 const SPACING: f64 = 0.05;
-/// A surface is forgotten this long after the last contact with it, s.
-const MEMORY: f64 = 600.0;
-/// What is only assumed of it is forgotten this long after the last contact, s.
-const ASSUMED: f64 = 60.0;
 /// A surface is reported until this long after the last contact, s: later, odometry may have drifted.
 const REPORTED: f64 = 20.0;
 /// The robot has passed over a point that lies this deep inside its outline, m: odometry drifts.
@@ -203,16 +200,18 @@ pub(crate) struct ContactMemory {
     footprint: Footprint,
     /// Surfaces farther from the robot are forgotten, m.
     range: f64,
+    settings: ContactMemorySettings,
     contact: Option<Contact>,
     surfaces: VecDeque<Surface>,
 }
 
 impl ContactMemory {
     /// Nothing touched yet.
-    pub(crate) fn new(footprint: &Footprint, range: f64) -> Self {
+    pub(crate) fn new(footprint: &Footprint, range: f64, settings: ContactMemorySettings) -> Self {
         Self {
             footprint: footprint.clone(),
             range,
+            settings,
             contact: None,
             surfaces: VecDeque::new(),
         }
@@ -221,9 +220,10 @@ impl ContactMemory {
     /// Without any contact: forgets surfaces that are old or far, what was assumed long ago, and points that the robot has passed over.
     pub(crate) fn forget(&mut self, now: Stamp, odom_from_base: Pose2) {
         let (odom_from_base, footprint, range) = (rigid(odom_from_base), &self.footprint, self.range);
+        let ContactMemorySettings { memory, assumed } = self.settings;
         let (here, base_from_odom) = (odom_from_base * Point2::origin(), odom_from_base.inverse());
         self.surfaces.retain_mut(|surface| {
-            if surface.assumed.is_some() && now.secs_since(surface.felt) > ASSUMED {
+            if surface.assumed.is_some() && now.secs_since(surface.felt) > assumed {
                 surface.forget_assumed();
             }
             let before = surface.points.len();
@@ -231,7 +231,7 @@ impl ContactMemory {
                 .points
                 .retain(|point| footprint.depth(base_from_odom * point) <= PASSED_OVER);
             surface.is_passed |= surface.points.len() < before;
-            now.secs_since(surface.felt) <= MEMORY && surface.distance(here) <= range && !surface.points.is_empty()
+            now.secs_since(surface.felt) <= memory && surface.distance(here) <= range && !surface.points.is_empty()
         });
     }
 
@@ -357,8 +357,13 @@ mod tests {
     /// Radius of the robot, m.
     const RADIUS: f64 = 0.3;
 
+    /// Of surfaces up to this far from the robot, m.
+    fn within(range: f64) -> ContactMemory {
+        ContactMemory::new(&Footprint::Radius(RADIUS), range, ContactMemorySettings::default())
+    }
+
     fn memory() -> ContactMemory {
-        ContactMemory::new(&Footprint::Radius(RADIUS), 3.0)
+        within(3.0)
     }
 
     /// The robot at a pose touches something straight ahead, and a sweep shows nothing there.
@@ -467,6 +472,24 @@ mod tests {
     }
 
     #[test]
+    fn both_times_until_it_is_forgotten_are_settings() {
+        let settings = ContactMemorySettings {
+            memory: 100.0,
+            assumed: 5.0,
+        };
+        let mut memory = ContactMemory::new(&Footprint::Radius(RADIUS), 3.0, settings);
+        touch(&mut memory, 1.0, Pose2::IDENTITY);
+        let away = Pose2::new(-2.0, 0.0, 0.0);
+        memory.forget(Stamp::from_secs(5.0), away);
+        assert!(reach(&memory)[1] > 0.4);
+        memory.forget(Stamp::from_secs(7.0), away);
+        assert!(reach(&memory)[1] < 0.1, "what was only assumed");
+        assert!(memory.points().count() > 0);
+        memory.forget(Stamp::from_secs(102.0), away);
+        assert_eq!(memory.points().count(), 0);
+    }
+
+    #[test]
     fn it_is_forgotten_after_a_long_time_far_away_and_where_the_robot_s_body_has_been() {
         let left = |secs: f64, at: Pose2| {
             let mut memory = memory();
@@ -507,7 +530,7 @@ mod tests {
 
     #[test]
     fn the_number_of_surfaces_is_bounded_and_the_oldest_is_dropped() {
-        let mut memory = ContactMemory::new(&Footprint::Radius(RADIUS), 1000.0);
+        let mut memory = within(1000.0);
         for nth in 0..40_u32 {
             touch(&mut memory, f64::from(nth), Pose2::new(0.0, 4.0 * f64::from(nth), 0.0));
         }
@@ -518,7 +541,7 @@ mod tests {
 
     #[test]
     fn a_surface_grows_no_longer_than_is_sensible() {
-        let mut memory = ContactMemory::new(&Footprint::Radius(RADIUS), 1000.0);
+        let mut memory = within(1000.0);
         for nth in 0..400_u32 {
             touch(
                 &mut memory,

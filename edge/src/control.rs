@@ -77,17 +77,23 @@ impl Pace {
     }
 }
 
-/// Judges readings, of which the last ones used are of `last`. With a clock that was set back everything that has a deadline would last for
-/// as long again; after readings of the far future all others would be old.
-fn judge(stamp: Stamp, last: Stamp, clock: &mut BodyClock) -> Result<(), NotNow> {
-    // A body without new readings may repeat its last ones.
-    if stamp == last { Ok(()) } else { clock.judge(stamp) }
+/// Judges readings, of which the last ones used are of `last`; without a clock only their order. With a clock that was set back everything
+/// that has a deadline would last for as long again; after readings of the far future all others would be old.
+fn judge(stamp: Stamp, last: Stamp, clock: Option<&mut BodyClock>) -> Result<(), NotNow> {
+    let (got, shown) = (stamp.as_secs(), last.as_secs());
+    match clock {
+        // A body without new readings may repeat its last ones.
+        _ if stamp == last => Ok(()),
+        Some(clock) => clock.judge(stamp),
+        None if stamp < last => Err(NotNow::Old { got, shown }),
+        None => Ok(()),
+    }
 }
 
 /// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, s; `speed` is the rate of its time
 /// against wall time.
 pub(crate) fn run(
-    (body, mut clock): (Box<dyn Body>, BodyClock),
+    (body, clock): (Box<dyn Body>, BodyClock),
     mut pilot: Pilot,
     handoff: &Arc<Handoff>,
     (tick, speed): (f64, f64),
@@ -95,6 +101,7 @@ pub(crate) fn run(
     metrics: &ControlMetrics,
 ) {
     let mut body = Wheels(body);
+    let mut clock = (!body.0.judges_stamps()).then_some(clock);
     let period = Duration::from_secs_f64(tick / speed);
     let mut timer = (!body.0.gives_the_pace()).then(|| Timer {
         period,
@@ -115,7 +122,7 @@ pub(crate) fn run(
             late = Some(by);
         }
         let read = match body.0.read() {
-            Ok(readings) => match judge(readings.stamp, pilot.now(), &mut clock) {
+            Ok(readings) => match judge(readings.stamp, pilot.now(), clock.as_mut()) {
                 Ok(()) => Ok(readings),
                 // The robot has not set out yet, and two more readings confirm the first.
                 Err(NotNow::First(_)) if unconfirmed < CONFIRMING_TICKS && !halt.load(Ordering::Relaxed) => {

@@ -42,6 +42,8 @@ pub struct LocalObstacles {
     touched: Option<Point2<f64>>,
     /// What was touched and no beam shows.
     contacts: ContactMemory,
+    /// Radius of a person who may stand behind a corner, m.
+    person_radius: f64,
     moving: MovingObstacles,
     blind_spots: BlindSpotGrid,
     settings: LocalObstacleSettings,
@@ -101,7 +103,12 @@ impl LocalObstacles {
             odom_from_base: Isometry2::identity(),
             remembered: VecDeque::new(),
             touched: None,
-            contacts: ContactMemory::new(&model.footprint, settings.local_obstacles.range),
+            contacts: ContactMemory::new(
+                &model.footprint,
+                settings.local_obstacles.range,
+                settings.contact_memory,
+            ),
+            person_radius: settings.passive_safety.person_radius,
             moving: MovingObstacles::new(model, view.clone(), settings),
             blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint, settings),
             view,
@@ -159,7 +166,7 @@ impl LocalObstacles {
         self.moving.insert(index, &scan);
         let tracks = self.moving.tracks();
         let moves = |corner: Point2<f64>| tracks.at(corner).is_some();
-        blind_corners::find(&scan, filter.ranges(), moves, corners);
+        blind_corners::find(&scan, filter.ranges(), self.person_radius, moves, corners);
         self.blind_spots.insert(&scan);
         *stamp = Some(sweep.stamp);
         self.odom_from_base = scan.odom_from_base;

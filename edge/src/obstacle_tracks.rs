@@ -43,8 +43,11 @@ const HALF_SEEN: f64 = 0.2;
 /// The ends of something round are farther away than its middle by this share of its radius, at least.
 const BULGE: f64 = 0.4;
 
-/// A point this near to a robot's disc belongs to it, and the center of what looks like a thing of its own, m.
+/// A point this near to a robot's disc belongs to it, and the center of what looks like a thing of its own, m: the robot may be a little
+/// beside the place that it told.
 const ON_ROBOT: (f64, f64) = (0.1, 0.3);
+/// A robot is seen where it says if this many returns lie within its disc.
+const IN_PLACE: usize = 3;
 
 /// A moving obstacle: a disc that goes on at constant velocity, or as it has told.
 #[derive(Clone, Debug, PartialEq)]
@@ -368,7 +371,7 @@ impl ObstacleTracks {
         self.robots.extend(robots);
         let robots = &self.robots;
         self.tracks
-            .retain(|track| on_robot(robots, track.position, ON_ROBOT.1).is_none());
+            .retain(|track| on_robot(robots, track.position, ON_ROBOT.0).is_none());
     }
 
     /// The robots that tell their course.
@@ -383,10 +386,12 @@ impl ObstacleTracks {
         on_robot(&self.robots, point, ON_ROBOT.0)
     }
 
-    /// Whether what evidently moves at a point (odometry frame) is one of the robots, or its shadow.
+    /// Whether what evidently moves at a point (odometry frame) is one of the robots, or its shadow: not somebody beside it.
     #[must_use]
     pub(crate) fn is_by_robot(&self, point: Point2<f64>) -> bool {
-        on_robot(&self.robots, point, ON_ROBOT.1).is_some()
+        let on = |track: &Track| track.is_confirmed() && (point - track.position).norm() <= track.radius + ON_ROBOT.0;
+        let is_beside = || self.robot_at(point).is_none() && self.tracks.iter().any(on);
+        on_robot(&self.robots, point, ON_ROBOT.1).is_some() && !is_beside()
     }
 
     /// Takes a scan; `moved` says of each beam whether its return evidently moved.
@@ -455,7 +460,7 @@ impl ObstacleTracks {
         let robots = &self.robots;
         let segments = self.segments.iter();
         self.taken
-            .extend(segments.map(|segment| on_robot(robots, segment.center, ON_ROBOT.1).is_some()));
+            .extend(segments.map(|segment| is_robot(robots, segment, scan)));
     }
 
     /// Gives each track the segment nearest to where it is expected, nearest pairs first; ends those whose place is empty.
@@ -532,6 +537,30 @@ impl ObstacleTracks {
         let seen = self.tracks.iter().filter(move |track| track.seen == now);
         seen.filter(|track| track.is_confirmed())
     }
+}
+
+/// Whether a segment is one of the robots: it lies by its disc. But if that robot is seen where it says, something round beside it, none of
+/// whose returns lie on the disc, is somebody else.
+fn is_robot(robots: &[Track], segment: &Segment, scan: &ProjectedScan<'_>) -> bool {
+    let all = (0, scan.ranges.len());
+    let is_beside = |robot: &Track| {
+        segment.round(scan.laser()).is_some()
+            && returns_on(robot, scan, segment.beams, ON_ROBOT.0) == 0
+            && returns_on(robot, scan, all, 0.0) >= IN_PLACE
+    };
+    let by = |robot: &&Track| (segment.center - robot.position).norm() <= robot.radius + ON_ROBOT.1;
+    robots.iter().filter(by).any(|robot| !is_beside(robot))
+}
+
+/// How many returns of these beams, from the first to the last, lie on a robot's disc.
+fn returns_on(robot: &Track, scan: &ProjectedScan<'_>, (first, last): (usize, usize), slack: f64) -> usize {
+    let laser = scan.laser();
+    let beams = scan.ranges.iter().zip(scan.rays).take(last + 1).skip(first);
+    let is_on = |(range, ray): &(&f32, &Vector2<f64>)| {
+        let range = f64::from(**range);
+        scan.is_return(range) && (laser + *ray * range - robot.position).norm() <= robot.radius + slack
+    };
+    beams.filter(is_on).count()
 }
 
 /// The robot whose disc a point lies on.

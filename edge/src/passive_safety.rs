@@ -38,8 +38,6 @@ const MAX_POSES: f64 = 100.0;
 const FASTEST_ROBOT: f64 = 3.0;
 /// A closing speed up to this counts as none, m/s.
 const RESTING: f64 = 1e-6;
-/// Whoever may come out from behind a corner slows the robot down to this at most, m/s: a corner never leaves, so nothing would end a stop.
-const PAST_CORNERS: f64 = 0.1;
 /// Contact at this speed is harmless, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
 /// Harmless residual speed of a controller towards a contact, m/s.
@@ -302,7 +300,8 @@ impl<'a> BrakingMotion<'a> {
     /// Limit by people who may come out from behind corners, as [`Self::limit_among`]; the robot creeps past where no speed is slow enough.
     #[must_use]
     pub fn limit_corners(&self, people: &[Mover]) -> f64 {
-        self.limit_among(people).max((PAST_CORNERS / self.speed).min(1.0))
+        self.limit_among(people)
+            .max((self.settings.corner_speed / self.speed).min(1.0))
     }
 
     /// Bounds the robot's motion from a share of its speed until rest, in steps.
@@ -597,6 +596,25 @@ mod tests {
         assert!(passed([-2.0, 0.4], [2.0, 0.4], 0.0, 1.0), "past it");
         // Something round goes around on a wider circle.
         assert!(!passed([-2.0, 0.4], [2.0, 0.4], 0.2, 4.0) && passed([-2.0, 0.4], [2.0, 0.4], 0.2, 4.1));
+    }
+
+    #[test]
+    fn past_a_corner_it_creeps_at_a_set_speed() {
+        let model = zenav_fixtures::robot("tiago");
+        let ahead = Twist2::new(0.5, 0.0);
+        let person = Mover::at_will(
+            Point2::new(model.footprint.circumscribed_radius() + 0.01, 0.0),
+            0.0,
+            1.4,
+        );
+        for corner_speed in [0.1, 0.2] {
+            let settings = PassiveSafetySettings {
+                corner_speed,
+                ..PassiveSafetySettings::default()
+            };
+            let motion = BrakingMotion::new(&model.footprint, &model.drive, ahead, 0.05, 0.02, 0.05, &settings);
+            assert!((motion.limit_corners(&[person]) * motion.speed - corner_speed).abs() < 1e-9);
+        }
     }
 
     #[test]

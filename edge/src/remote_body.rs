@@ -202,4 +202,8 @@ impl Body for RemoteBody {
     fn gives_the_pace(&self) -> bool {
         true
     }
+
+    fn judges_stamps(&self) -> bool {
+        true
+    }
 }

@@ -19,24 +19,17 @@ use crate::active_plan::ActivePlan;
 use crate::avoidance::Ahead;
 use crate::local_obstacles::LocalObstacles;
 use crate::obstacle_tracks::Track;
+use crate::settings::RightOfWaySettings;
 
-/// Two outlines' discs that come nearer than this meet, m.
-const CLEARANCE: f64 = 0.3;
 /// A robot whose disc is nearer than this to the course of another one's stands on its way, m. Less than the clearance, or who waits just beside
 /// that way would be on it by an error of its pose.
 const ON_ITS_WAY: f64 = 0.1;
-/// This robot goes first through a stretch if it gets to each place of it so long before the other one, s: it may be slower than its plan.
-const LEAD: f64 = 1.5;
-/// The same for a robot that waits: it has to set out.
-const LEAD_FROM_REST: f64 = 2.5;
-/// This robot follows if the other one has left each place so long before, s.
-const OTHERS_LEAD: f64 = 0.8;
+/// A waiting robot needs this much more lead, s: it has to set out.
+const SETTING_OUT: f64 = 1.0;
 /// Two go the same way whose directions differ by less than this, as a cosine: then the one ahead needs no lead.
 const SAME_WAY: f64 = 0.7;
 /// A robot waits as soon as it is so near to where it will, s.
 const NEARLY_THERE: f64 = 1.0;
-/// Two pass where there is so much room beside both discs, m.
-const PASSING_ROOM: f64 = 0.2;
 /// What stands so far before or behind a place of the plan counts for the room there, and room is looked for so far to each side, m.
 const BAND: f64 = 0.25;
 const SIDE: f64 = 2.0;
@@ -59,8 +52,9 @@ pub struct Wait {
 }
 
 /// Whether and where the robot waits on its plan.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct RightOfWay {
+    settings: RightOfWaySettings,
     looked: Option<Stamp>,
     /// The trajectory on which it waits, by its number; the plan time at which it does, s; until when.
     waits: Option<(u64, f64, Stamp)>,
@@ -69,6 +63,18 @@ pub struct RightOfWay {
 }
 
 impl RightOfWay {
+    /// Waits for nobody yet.
+    #[must_use]
+    pub fn new(settings: &RightOfWaySettings) -> Self {
+        Self {
+            settings: *settings,
+            looked: None,
+            waits: None,
+            plan: Vec::new(),
+            standing: Vec::new(),
+        }
+    }
+
     /// Looks at the plan in force, and at what other robots have told. `radius`: of the disc around the robot's outline, m.
     pub fn update(
         &mut self,
@@ -90,7 +96,8 @@ impl RightOfWay {
             active.ahead(odom_from_map, PLAN_SECS, APART, &mut self.plan);
             self.standing.clear();
             self.standing.extend(obstacles.standing());
-            let wait = wait_before(&self.plan, radius, robots, &self.standing, self.waits.is_some());
+            let waits = self.waits.is_some();
+            let wait = wait_before(&self.plan, radius, robots, &self.standing, waits, &self.settings);
             self.waits = wait.map(|wait| (id, plan_time + wait.at, now.plus_secs(wait.until)));
             self.looked = Some(now);
         }
@@ -137,11 +144,12 @@ pub fn wait_before(
     robots: &[Track],
     standing: &[Point2<f64>],
     waits: bool,
+    settings: &RightOfWaySettings,
 ) -> Option<Wait> {
-    let lead = if waits { LEAD_FROM_REST } else { LEAD };
+    let lead = settings.lead + if waits { SETTING_OUT } else { 0.0 };
     let rooms = LazyCell::new(|| plan.iter().map(|ahead| room_at(ahead, standing)).collect());
     let first = robots.iter().filter(|robot| robot.goes_first());
-    let waits = first.filter_map(|robot| wait_for(plan, radius, robot, &rooms, lead));
+    let waits = first.filter_map(|robot| wait_for(plan, radius, robot, &rooms, lead, settings));
     waits.reduce(|one, other| {
         let (sooner, later) = if one.at <= other.at { (one, other) } else { (other, one) };
         let is_same = later.at - sooner.at <= SAME_PLACE;
@@ -165,25 +173,32 @@ fn wait_for<F: FnOnce() -> Vec<f64>>(
     robot: &Track,
     rooms: &Rooms<F>,
     lead: f64,
+    settings: &RightOfWaySettings,
 ) -> Option<Wait> {
+    let RightOfWaySettings {
+        clearance,
+        others_lead,
+        passing_room,
+        ..
+    } = *settings;
     let course = robot.told_course();
     let discs = radius + robot.radius;
     let here = *plan.first()?;
     let reach = plan
         .iter()
         .map(|ahead| (ahead.pose.position() - here.pose.position()).norm());
-    let reach = reach.fold(0.0, f64::max) + discs + CLEARANCE;
+    let reach = reach.fold(0.0, f64::max) + discs + clearance;
     Meeting::at(&here, reach, &course)?;
     let meetings: Vec<Option<Meeting>> = plan
         .iter()
-        .map(|ahead| Meeting::at(ahead, discs + CLEARANCE, &course))
+        .map(|ahead| Meeting::at(ahead, discs + clearance, &course))
         .collect();
     // Up to there it is on the other one's way from the start.
     let leaves = match Meeting::at(&here, discs + ON_ITS_WAY, &course) {
         Some(_) => meetings.iter().position(Option::is_none).unwrap_or(plan.len()),
         None => 0,
     };
-    let room = 2.0 * discs + PASSING_ROOM;
+    let room = 2.0 * discs + passing_room;
     let counts = |nth: usize| meetings[nth].is_some() && (nth >= leaves || rooms[nth] < room);
     let mut from = 0;
     while let Some(begin) = (from..plan.len()).find(|nth| counts(*nth)) {
@@ -191,12 +206,12 @@ fn wait_for<F: FnOnce() -> Vec<f64>>(
         from = end;
         let stretch = || plan[begin..end].iter().zip(meetings[begin..end].iter().flatten());
         let goes_first = stretch().all(|(own, met)| own.secs + if met.same_way { 0.0 } else { lead } < met.begins);
-        let follows = stretch().all(|(own, met)| met.ends + OTHERS_LEAD < own.secs);
+        let follows = stretch().all(|(own, met)| met.ends + others_lead < own.secs);
         if goes_first || follows {
             continue;
         }
         // Who follows waits for no more than the lead that is missing.
-        let late = stretch().map(|(own, met)| met.ends + OTHERS_LEAD - (own.secs - plan[begin].secs));
+        let late = stretch().map(|(own, met)| met.ends + others_lead - (own.secs - plan[begin].secs));
         let until = late.fold(0.0, f64::max);
         if begin >= leaves {
             let at = plan[begin.saturating_sub(1)].secs;
@@ -211,7 +226,7 @@ fn wait_for<F: FnOnce() -> Vec<f64>>(
         let before = plan[..begin]
             .iter()
             .rev()
-            .find(|ahead| (ahead.pose.position() - mouth).norm() > discs + CLEARANCE);
+            .find(|ahead| (ahead.pose.position() - mouth).norm() > discs + clearance);
         let at = before.map_or(0.0, |ahead| ahead.secs);
         return Some(Wait { at, until });
     }
@@ -320,7 +335,21 @@ mod tests {
     }
 
     fn wait(robot: Track, standing: &[Point2<f64>]) -> Option<Wait> {
-        wait_before(&plan(), RADIUS, &[robot], standing, false)
+        wait_before(
+            &plan(),
+            RADIUS,
+            &[robot],
+            standing,
+            false,
+            &RightOfWaySettings::default(),
+        )
+    }
+
+    /// The same with one setting changed.
+    fn waits_with(robot: Track, standing: &[Point2<f64>], change: impl FnOnce(&mut RightOfWaySettings)) -> Option<f64> {
+        let mut settings = RightOfWaySettings::default();
+        change(&mut settings);
+        wait_before(&plan(), RADIUS, &[robot], standing, false, &settings).map(|wait| wait.at)
     }
 
     fn waits(robot: Track, standing: &[Point2<f64>]) -> Option<f64> {
@@ -331,7 +360,7 @@ mod tests {
     fn it_waits_before_a_crossing_unless_one_of_the_two_is_gone_by_then() {
         // Both would be at x = 5 after 10 s.
         let secs = waits(robot([5.0, -5.0], [0.0, 0.5], false), &[]).unwrap();
-        assert!((0.5 * secs - (5.0 - 2.0 * RADIUS - CLEARANCE)).abs() < 0.2, "{secs}");
+        assert!((0.5 * secs - (5.0 - 2.0 * RADIUS - 0.3)).abs() < 0.2, "{secs}");
         let until = wait(robot([5.0, -5.0], [0.0, 0.5], false), &[]).unwrap().until;
         assert!((11.5..14.5).contains(&until), "{until}: through at 11.8 s");
         assert_eq!(waits(robot([5.0, -5.0], [0.0, 0.5], true), &[]), None, "it goes first");
@@ -345,6 +374,27 @@ mod tests {
             None,
             "this one is gone"
         );
+    }
+
+    #[test]
+    fn leads_clearance_and_passing_room_are_settings() {
+        let crossing = || robot([5.0, -5.0], [0.0, 0.5], false);
+        let secs = waits_with(crossing(), &[], |settings| settings.clearance = 0.8).unwrap();
+        assert!((0.5 * secs - (5.0 - 2.0 * RADIUS - 0.8)).abs() < 0.2, "{secs}");
+        // With the defaults, one of the two is gone in time.
+        let (early, late) = ([5.0, -1.0], [1.5, -7.0]);
+        let long = waits_with(robot(early, [0.0, 0.5], false), &[], |settings| {
+            settings.others_lead = 10.0
+        });
+        assert!(long.is_some());
+        let long = waits_with(robot(late, [0.0, 0.5], false), &[], |settings| settings.lead = 15.0);
+        assert!(long.is_some());
+        // A lane 1.6 m wide, for two discs of 0.6 m.
+        let wall = |x: f64| [Point2::new(x, 0.8), Point2::new(x, -0.8)];
+        let lane: Vec<Point2<f64>> = (0..40).flat_map(|nth| wall(3.0 + 0.1 * f64::from(nth))).collect();
+        let oncoming = || robot([10.0, 0.0], [-0.5, 0.0], false);
+        assert_eq!(waits(oncoming(), &lane), None, "they pass one another");
+        assert!(waits_with(oncoming(), &lane, |settings| settings.passing_room = 0.5).is_some());
     }
 
     #[test]

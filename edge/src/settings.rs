@@ -59,6 +59,8 @@ zenav_protocol::settings! {
         pub passive_safety: PassiveSafetySettings;
         /// Local obstacle memory.
         pub local_obstacles: LocalObstacleSettings;
+        /// Contact memory: what the robot touched and no beam shows.
+        pub contact_memory: ContactMemorySettings;
         /// Blind-spot grid: floor known to be free where no lidar sees.
         pub blind_spot_grid: BlindSpotGridSettings;
         /// Scan reprojection: which returns of one scan do the beams of another pass through?
@@ -69,6 +71,8 @@ zenav_protocol::settings! {
         pub tracking: TrackingSettings;
         /// Predictive control among moving obstacles.
         pub avoidance: AvoidanceSettings;
+        /// Right of way: where the robot waits for other robots.
+        pub right_of_way: RightOfWaySettings;
         /// Pose estimator.
         pub estimator: EstimatorSettings;
         /// Standing still to learn the gyro's bias.
@@ -273,6 +277,12 @@ zenav_protocol::settings! {
         pub unseen_margin: f64 = 0.03, "m", 0.0..=0.5;
         /// Motor time constants allowed after braking until the robot is at rest: a first-order lag is at 2 % after four.
         pub lags_to_rest: f64 = 4.0, "", 0.0..=10.0;
+        /// Radius of a person who may stand unseen behind a corner (a disc as wide as an adult's shoulders). A smaller one finds blind
+        /// corners at narrower gaps and behind narrower surfaces.
+        pub person_radius: f64 = 0.25, "m", 0.05..=1.0;
+        /// Speed at which the robot creeps past a blind corner where no greater speed is slow enough: the corner never leaves, so nothing
+        /// would end a stop.
+        pub corner_speed: f64 = 0.1, "m/s", 0.01..=2.0;
     }
     check = |safety: &PassiveSafetySettings| {
         let speeds = [("speed_in_view", safety.speed_in_view), ("speed_out_of_sight", safety.speed_out_of_sight)];
@@ -292,6 +302,17 @@ zenav_protocol::settings! {
         /// After this long without a scan of a lidar, or one and a half of its periods if that is longer, a moving obstacle may have entered
         /// the blind spot unseen.
         pub scan_gap: f64 = 0.5, "s", 0.05..=10.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Contact memory: what the robot touched and no beam shows.
+    #[derive(Copy)]
+    pub struct ContactMemorySettings {
+        /// A touched surface is forgotten this long after the last contact: by then odometry has drifted, and the map has it.
+        pub memory: f64 = 600.0, "s", 0.0..=86_400.0;
+        /// What is only assumed of a surface is forgotten this long after the last contact: until then it may close a gap that is open.
+        pub assumed: f64 = 60.0, "s", 0.0..=86_400.0;
     }
 }
 
@@ -408,6 +429,22 @@ zenav_protocol::settings! {
         pub robot_minded: f64 = 2.5, "s", 0.0..=10.0;
         /// Distance from the plan's reference at which the plan is discarded while the robot gives way.
         pub off_track: f64 = 3.0, "m", 0.1..=20.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Right of way: where the robot waits for other robots.
+    #[derive(Copy)]
+    pub struct RightOfWaySettings {
+        /// Two robots meet where the discs around their outlines come nearer than this.
+        pub clearance: f64 = 0.3, "m", 0.15..=5.0;
+        /// The robot goes first if it reaches each place of a crossing this long before the other robot, because it may be slower than its
+        /// plan; 1 s longer from rest. At most `planning.space_time.before`, or the robot waits on the paths that are planned past others.
+        pub lead: f64 = 1.5, "s", 0.0..=20.0;
+        /// The robot follows if the other robot has left each place this long before. At most `planning.space_time.after`.
+        pub others_lead: f64 = 0.8, "s", 0.0..=20.0;
+        /// Two robots can pass each other where the floor is this much wider than the discs around both.
+        pub passing_room: f64 = 0.2, "m", 0.0..=2.0;
     }
 }
 

@@ -44,6 +44,9 @@ zenav_protocol::settings! {
         /// with a deadline waits until its deadline instead; 0 disables waiting (120: longer than people talk in a doorway, shorter than
         /// somebody needs to come and clear it).
         pub patience: f64 = 120.0, "s", 0.0..=86_400.0;
+        /// A way round an obstacle that may leave is taken at once if it costs less time than this; otherwise the robot waits at least this
+        /// long, while the way round stays open.
+        pub least_wait: f64 = 5.0, "s", 0.0..=3600.0;
         /// Least time after its start before a goal is given up as unreachable or occupied: a closed door looks like a wall until it opens,
         /// and a distant person is only a beam or two. After the same time the robot drives to look behind an obstacle that hides the goal.
         pub linger: f64 = 30.0, "s", 0.0..=3600.0;

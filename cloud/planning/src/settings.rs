@@ -126,7 +126,7 @@ zenav_protocol::settings! {
         pub cell: f64 = 0.2, "m", 0.05..=1.0;
         /// Speed along the path, as a share of the robot's top speed: the rest allows for turning and accelerating.
         pub speed: f64 = 0.8, "", 0.1..=1.0;
-        /// Distance kept between the discs of two robots. Below 0.3 m the robot's own right-of-way rule makes it wait all the same.
+        /// Distance kept between the discs of two robots. Below the robot's own `right_of_way.clearance` (0.3 m) it waits all the same.
         pub clearance: f64 = 0.35, "m", 0.0..=2.0;
         /// Time between leaving a place and the arrival of another robot there.
         pub before: f64 = 1.5, "s", 0.0..=20.0;

@@ -173,3 +173,53 @@ fn walls_around_the_robot_are_no_disc_where_they_end_behind_it() {
     tracks.cut(&scan, &vec![true; lidar.beams]);
     assert!(tracks.segments.is_empty(), "{:?}", tracks.segments);
 }
+
+/// The lidar tracks after some seconds of a robot at rest in a room, among discs (centers and radii) and a robot that says to be at the place
+/// of that time.
+fn beside_robot(
+    secs: f64,
+    told: impl Fn(f64) -> Point2<f64>,
+    discs: impl Fn(f64) -> Vec<(Point2<f64>, f64)>,
+) -> MovingObstacles {
+    let robot = zenav_fixtures::robot("tiago");
+    let lidar = robot.first_lidar().unwrap();
+    let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
+    let mut moving = MovingObstacles::new(&robot, view, &crate::settings::EdgeSettings::default());
+    let mut projector = ScanProjector::new(lidar);
+    for step in 0..=(10.0 * secs).round() as u32 {
+        let now = 0.1 * f64::from(step);
+        let course = Course {
+            places: vec![told(now)],
+            step: 0.4,
+            ..Course::default()
+        };
+        let stamp = Stamp::from_secs(now);
+        let other = Track::of_robot(1 << 48, 0.27, Vector2::zeros(), stamp, course);
+        moving.set_robots(std::iter::once(other));
+        let sweep = zenav_fixtures::sweep_in_room(lidar, now, Pose2::IDENTITY, (5.0, 5.0), &discs(now));
+        moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
+    }
+    moving
+}
+
+#[test]
+fn who_walks_closely_past_a_robot_that_is_where_it_says_keeps_a_track() {
+    let other = Point2::new(3.0, 0.0);
+    // A leg, 0.15 m beside the robot's disc at the end.
+    let leg = |now: f64| Point2::new(4.6 - 0.8 * now, -0.5);
+    let moving = beside_robot(2.0, |_| other, |now| vec![(other, 0.25), (leg(now), 0.08)]);
+    let tracks: Vec<_> = moving.tracks().iter().filter(|track| !track.is_robot()).collect();
+    assert_eq!(tracks.len(), 1, "{tracks:?}");
+    assert!((tracks[0].position - leg(2.0)).norm() < 0.1, "{:?}", tracks[0]);
+    assert!(!moving.tracks().is_by_robot(leg(2.0)) && moving.tracks().is_by_robot(other));
+}
+
+#[test]
+fn a_robot_beside_the_place_that_it_told_has_no_track_of_its_own() {
+    let body = |now: f64| Point2::new(3.5 - 0.4 * now, 0.5);
+    let told = |now: f64| body(now) - Vector2::new(0.2, 0.0);
+    for secs in [1.0, 2.0, 3.0] {
+        let moving = beside_robot(secs, told, |now| vec![(body(now), 0.25)]);
+        assert!(moving.tracks().iter().all(Track::is_robot), "after {secs} s");
+    }
+}

@@ -158,7 +158,7 @@ impl Pilot {
             avoidance: Avoidance::new(model, &settings.avoidance),
             ahead: Vec::new(),
             other_robots: OtherRobots::new(config.robot.as_str()),
-            right_of_way: RightOfWay::default(),
+            right_of_way: RightOfWay::new(&settings.right_of_way),
             intent: Intent {
                 robot: config.robot.to_string(),
                 radius: model.footprint.circumscribed_radius(),

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `packages` | which package may depend on which, directly and transitively; licences; metadata of published crates |
 //! | `purity` | where clocks, files, threads, the network and randomness are used |
-//! | `pages` | the key table and the links of every page |
+//! | `pages` | the key table, the links of every page, and the files that `ARCHITECTURE.md` names |
 //! | `workspace` | Cargo's metadata of the workspace |
 //! | `sources` | the files of a crate without its tests, and the paths that they name |
 

@@ -1,4 +1,4 @@
-//! Are the pages correct? The key table, and every link to a file.
+//! Are the pages correct? The key table, every link to a file, and the source files that the architecture names.
 
 use crate::workspace::{files, relative, root};
 
@@ -62,6 +62,22 @@ fn every_link_to_a_file_or_a_heading_of_the_project_leads_somewhere() {
             }
         }
     }
+}
+
+#[test]
+fn every_source_file_that_the_architecture_names_from_the_root_exists() {
+    let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
+    let code = page.split('`').skip(1).step_by(2);
+    let mut named = 0;
+    for path in code.filter(|code| code.ends_with(".rs")) {
+        // Other paths are relative to the one before, in prose.
+        let is_from_root = |folder: &str| root().join(folder).is_dir();
+        if path.split_once('/').is_some_and(|(folder, _)| is_from_root(folder)) {
+            assert!(root().join(path).is_file(), "ARCHITECTURE.md: `{path}` does not exist");
+            named += 1;
+        }
+    }
+    assert!(named > 30, "the lists of files: {named}");
 }
 
 #[test]

@@ -23,8 +23,6 @@ use crate::leaves::path;
 use crate::motion::{BLOCKED_WITHIN, Recheck};
 use crate::transient::TransientCell;
 
-/// Least expected wait, s: a way round that costs less is taken at once.
-const LEAST_WAIT: f64 = 5.0;
 /// A route that takes less than this longer than the rest of the plan in force is as long, s.
 const LONGER: f64 = 0.5;
 /// The way round is taken while it leads to the goal before its deadline, with this share of its duration to spare.
@@ -77,7 +75,8 @@ impl Search {
         let beyond = path::part(&beyond, 0.0, BLOCKED_WITHIN);
         let mut cells = self.what_may_be_seen_to_leave(ctx, beyond.get(..1).unwrap_or_default());
         cells.retain(|cell| cell.since.is_some());
-        let waiting = Waiting::on(&beyond, &cells, reach(ctx), ctx.now).filter(|_| cost > LEAST_WAIT);
+        let least = ctx.config.settings.least_wait;
+        let waiting = Waiting::on(&beyond, &cells, reach(ctx), ctx.now).filter(|_| cost > least);
         let Some(mut waiting) = waiting else {
             return self.takes(route);
         };
@@ -109,7 +108,8 @@ impl Search {
         let (short, cells) = (path_of(answer), std::mem::take(&mut self.cleared));
         // At the same mean speed.
         let cost = route.plan.trajectory.duration() * (1.0 - path::length(&short) / route.length);
-        match Waiting::on(&short, &cells, reach(ctx), ctx.now).filter(|_| cost > LEAST_WAIT) {
+        let least = ctx.config.settings.least_wait;
+        match Waiting::on(&short, &cells, reach(ctx), ctx.now).filter(|_| cost > least) {
             Some(waiting) => self.wait_or_go_round(ctx, route, waiting, cost),
             None => self.takes(route),
         }
@@ -121,7 +121,10 @@ impl Search {
         waiting.note(ctx);
         ctx.goal.avoided = Some(waiting.clone());
         let stood = waiting.stood(ctx.now);
-        if is_worth_waiting(cost, stood) && stood <= patience(ctx) && !is_urgent(ctx, &route) {
+        if is_worth_waiting(cost, stood, ctx.config.settings.least_wait)
+            && stood <= patience(ctx)
+            && !is_urgent(ctx, &route)
+        {
             return self.wait_for(ctx, waiting);
         }
         tracing::info!(goal = ctx.goal.id, stood, cost, "drives round what may leave");
@@ -167,12 +170,13 @@ pub(crate) fn is_long(ctx: &Context, via: &[GoalPoint], route: &Route) -> bool {
     let straight = path::length(&corners) / speed;
     let left = ctx.goal.feedback.time_left.unwrap_or(0.0);
     let secs = route.plan.trajectory.duration();
-    secs > straight + LEAST_WAIT && secs > left + LONGER
+    secs > straight + ctx.config.settings.least_wait && secs > left + LONGER
 }
 
-/// Whether to wait for an obstacle that has stood for some time, s, if the way round costs this much more time than the short way, s.
-fn is_worth_waiting(cost: f64, stood: f64) -> bool {
-    cost > stood.max(LEAST_WAIT)
+/// Whether to wait for an obstacle that has stood for some time, s, if the way round costs this much more time than the short way, s. The
+/// least expected wait, s, holds of an obstacle that has just come.
+fn is_worth_waiting(cost: f64, stood: f64, least: f64) -> bool {
+    cost > stood.max(least)
 }
 
 /// Whether a way round leads to the goal before its deadline only if the robot takes it now.

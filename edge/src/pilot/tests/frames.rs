@@ -5,7 +5,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{BasedOn, Correction, MapRef, Plan, Revision};
 
 use super::rig::Rig;
-use crate::control_io::Persisted;
+use crate::control_io::{Persisted, Publication};
 
 /// A robot without a compass that has just begun to drive four metres ahead.
 fn driving() -> (Rig, u64, Plan) {
@@ -44,6 +44,15 @@ fn say(rig: &mut Rig, map_from_base: Pose2, frame: u64, moves: &[Pose2]) {
     });
 }
 
+/// The frame that the robot's next intent is in.
+fn told_frame(rig: &mut Rig) -> Option<u64> {
+    let mut published = (0..50).flat_map(|_| rig.tick().publications);
+    published.find_map(|publication| match publication {
+        Publication::Intent(intent) => Some(intent.frame),
+        _ => None,
+    })
+}
+
 #[test]
 fn a_map_that_moves_moves_belief_and_plan_with_it_and_nothing_else() {
     let (mut rig, ..) = driving();
@@ -63,6 +72,7 @@ fn a_map_that_moves_moves_belief_and_plan_with_it_and_nothing_else() {
     }
     assert!(slowest > 0.9 * speed, "{slowest} after {speed}");
     assert_eq!(rig.rejection(), None);
+    assert_eq!(told_frame(&mut rig), Some(1));
 }
 
 #[test]

@@ -183,7 +183,7 @@ fn what_the_robot_touched_while_driving_is_driven_round_at_once() {
 
 /// Time lost over a free short way, s: by waiting for an obstacle that leaves after some time, and by the way round if that is taken.
 fn lost(cost: f64, leaves: f64) -> f64 {
-    let waits = |secs: &f64| is_worth_waiting(cost, *secs) && *secs < leaves;
+    let waits = |secs: &f64| is_worth_waiting(cost, *secs, 5.0) && *secs < leaves;
     let waited = (0..).map(|tick| 0.1 * f64::from(tick)).find(|secs| !waits(secs));
     let waited = waited.unwrap_or(f64::INFINITY);
     if waited < leaves { waited + cost } else { waited }
@@ -205,9 +205,15 @@ fn waiting_and_driving_round_lose_at_most_twice_as_much_as_the_better_of_the_two
 
 #[test]
 fn a_short_way_round_is_taken_at_once() {
-    assert!(!is_worth_waiting(4.9, 0.0));
-    assert!(is_worth_waiting(5.1, 0.0) && is_worth_waiting(30.0, 29.0));
-    assert!(!is_worth_waiting(30.0, 31.0), "what has stood for long stays");
+    assert!(!is_worth_waiting(4.9, 0.0, 5.0));
+    assert!(is_worth_waiting(5.1, 0.0, 5.0) && is_worth_waiting(30.0, 29.0, 5.0));
+    assert!(!is_worth_waiting(30.0, 31.0, 5.0), "what has stood for long stays");
+    for (least, waits) in [(5.0, true), (60.0, false)] {
+        let mut drive = Drive::towards_somebody();
+        std::sync::Arc::make_mut(&mut drive.rig.ctx.config).settings.least_wait = least;
+        let state = drive.told(12.0, round);
+        assert_eq!((is_waiting(&state), goes(&state)), (waits, !waits), "{least} s");
+    }
 }
 
 #[test]
