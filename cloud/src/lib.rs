@@ -12,6 +12,7 @@
 //! |---|---|
 //! | [`map_subscriber`] | how does a service keep up with every robot's map? |
 //! | [`operator`] | under which epoch does an operator's command change a robot? |
+//! | `requests` | where do clients' requests to a part arrive? |
 
 pub mod dispatch;
 pub mod gateway;
@@ -20,6 +21,7 @@ pub mod mapping;
 pub mod mission;
 pub mod motion;
 pub mod operator;
+mod requests;
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod testing;

@@ -30,7 +30,7 @@ pub(crate) const FREE_PORT: &str = "127.0.0.1:0";
 /// Arguments of `zenav gateway`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Without a token the page is served on loopback only. For other machines:\n  zenav gateway --listen 0.0.0.0:7480 --token-file token.txt\nthen open http://HOST:7480/#token=TOKEN; behind a proxy that speaks HTTPS the token is not readable on the way."
+    after_help = "Examples:\n  zenav gateway --connect tcp/127.0.0.1:7460 --listen 127.0.0.1:7481\n  zenav gateway --listen 0.0.0.0:7480 --token-file token.txt    for other machines\n\nWithout a token the page is served on loopback only. With one, open http://HOST:7480/#token=TOKEN; behind a proxy that speaks HTTPS the token is not readable on the way."
 )]
 pub struct GatewayArgs {
     /// Address of the page and the API; port 0 takes a free one [default: the deployment's, 127.0.0.1:7480]

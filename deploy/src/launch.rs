@@ -16,6 +16,7 @@ use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::farewell::Farewell;
+use crate::files;
 use crate::gateway::{self, PageArgs};
 use crate::greeting::Greeting;
 use crate::health::HealthArgs;
@@ -94,7 +95,7 @@ impl PoseArgs {
 /// Arguments of `zenav up`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  zenav up\n  zenav up --world house --speed 4\n  zenav up --map kitchen.yaml --pose -1 -0.5 0\n  zenav up two_robots.toml --listen tcp/127.0.0.1:0\n\nWith ZENAV_SECTION__KEY any value of the deployment can be set; `zenav config show --origin` prints all."
+    after_help = "Examples:\n  zenav up\n  zenav up --world house --speed 4\n  zenav up --model jackal\n  zenav up --map kitchen.yaml --pose -1 -0.5 0\n  zenav up two_robots.toml --listen tcp/127.0.0.1:0\n\nWith ZENAV_SECTION__KEY any value of the deployment can be set; `zenav config show --origin` prints all."
 )]
 pub struct UpArgs {
     /// Deployment file; without it, one simulated robot and every service on this machine
@@ -107,6 +108,9 @@ pub struct UpArgs {
     /// World, instead of the deployment's
     #[arg(long, add = completion::worlds())]
     world: Option<String>,
+    /// Robot file or shipped name, instead of the deployment's
+    #[arg(long, add = completion::models())]
+    model: Option<String>,
     /// Simulated time relative to wall time, instead of the deployment's
     #[arg(long, value_parser = connect::speed)]
     speed: Option<f64>,
@@ -198,7 +202,7 @@ pub struct EdgeArgs {
     #[command(flatten)]
     part: PartArgs,
     /// Robot file or shipped name, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, add = completion::models())]
     model: Option<String>,
     /// The robot's own endpoint, instead of the deployment's
     #[arg(long, value_parser = connect::endpoint)]
@@ -334,9 +338,12 @@ impl PartArgs {
 pub fn up(args: &UpArgs) -> Outcome {
     let layers = Layers::load(args.file.as_deref())?;
     args.known.check_files(&layers, CloudPart::All)?;
-    layers.check_models(layers.deployment.robots.keys())?;
+    if args.model.is_none() {
+        layers.check_models(layers.deployment.robots.keys())?;
+    }
     let world = layers.world(args.world.as_deref())?;
     let mut deployment = layers.deployment.clone();
+    replace_models(&mut deployment, args.model.as_deref())?;
     if !args.listen.is_empty() {
         deployment.router.listen = args.listen.iter().map(|endpoint| with_free_port(endpoint)).collect();
         deployment.bus.connect.clone_from(&deployment.router.listen[0]);
@@ -417,6 +424,19 @@ pub fn up(args: &UpArgs) -> Outcome {
         result
     })?;
     ended.outcome()
+}
+
+/// Replaces the model of every robot, if another one is named.
+///
+/// # Errors
+/// No robot file or shipped robot of this name, or one that is wrong.
+fn replace_models(deployment: &mut Deployment, model: Option<&str>) -> Result<(), Failure> {
+    let Some(model) = model else { return Ok(()) };
+    files::robot(model)?;
+    for robot in deployment.robots.values_mut() {
+        model.clone_into(&mut robot.model);
+    }
+    Ok(())
 }
 
 /// The endpoint with port 0 replaced by a port that is free now: all parts have to know it.
@@ -542,8 +562,8 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
     }
     deployment.simulation.speed = args.speed.unwrap_or(deployment.simulation.speed);
     deployment.simulation.seed = args.seed.unwrap_or(deployment.simulation.seed);
+    replace_models(&mut deployment, args.model.as_deref())?;
     for section in deployment.robots.values_mut() {
-        section.model = args.model.clone().unwrap_or(std::mem::take(&mut section.model));
         section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
         section.attach |= args.attach || args.attach_to.is_some();
         section.driver |= args.body == Some(BodyKind::Bus);
@@ -586,4 +606,23 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
         until_interrupted(parts).await
     })?;
     ended.outcome()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::config;
+
+    #[test]
+    fn another_model_is_for_every_robot_and_an_unknown_one_is_refused_with_the_names_that_there_are() {
+        let mut deployment = config::load(None).unwrap();
+        replace_models(&mut deployment, None).unwrap();
+        assert_eq!(deployment.robots["tiago"].model, "tiago");
+        replace_models(&mut deployment, Some("jackal+rear_lidar")).unwrap();
+        assert_eq!(deployment.robots["tiago"].model, "jackal+rear_lidar");
+        let refused = replace_models(&mut deployment, Some("jackel")).unwrap_err();
+        assert_eq!(refused.code, exit_code::NOT_FOUND);
+        assert!(refused.message.contains("jackal"), "{refused}");
+    }
 }

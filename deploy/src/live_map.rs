@@ -95,7 +95,7 @@ impl LiveMap {
         self.take();
         let map = self.maps.map(&self.robot, &MapRef::default(), MAP_WITHIN).await;
         let picture = match map {
-            Some(replica) => terminal::map(replica.grid(), &self.seen.marks(), screen),
+            Some(replica) => fitted(&terminal::map(replica.grid(), &self.seen.marks(), screen), screen),
             None => format!("waiting for a map of {}", self.robot),
         };
         let status = status(&self.robot, self.seen.heard.ages(), self.seen.state.as_ref(), screen);
@@ -197,6 +197,19 @@ impl Seen {
     }
 }
 
+/// A picture whose lines of text fit the screen: a line that wraps pushes the picture's top out of it. Rows with colours are drawn to fit.
+fn fitted(picture: &str, screen: Screen) -> String {
+    let fit = |line: &str| -> String {
+        let most = if line.contains('\x1b') {
+            usize::MAX
+        } else {
+            screen.width
+        };
+        line.chars().take(most).collect()
+    };
+    picture.lines().map(fit).collect::<Vec<_>>().join("\n")
+}
+
 /// The status line, cut to the screen: first the ages of what is shown, then the robot's state. Faint once one of the two is old.
 fn status(robot: &str, ages: Ages, state: Option<&EdgeState>, screen: Screen) -> String {
     let state = state.map(state_text).unwrap_or_default();
@@ -245,6 +258,17 @@ mod tests {
             seen.hear(goal(id, state));
             assert_eq!(seen.goal.as_ref().map(|goal| goal.id.as_str()), shown, "{id} {state}");
         }
+    }
+
+    #[test]
+    fn the_lines_below_the_map_do_not_wrap() {
+        let screen = Screen {
+            width: 4,
+            height: 10,
+            colors: true,
+        };
+        let picture = "\x1b[38;5;16m▀▀\x1b[0m\nx 0.00 to 2.00 m\nrobot at (1, 1)";
+        assert_eq!(fitted(picture, screen), "\x1b[38;5;16m▀▀\x1b[0m\nx 0.\nrobo");
     }
 
     #[test]

@@ -7,6 +7,7 @@ use serde::Serialize;
 use zenav_protocol::messages::GoalPoint;
 use zenav_sim::Truth;
 
+use crate::output::counted;
 use crate::wall_following::score::Kept;
 
 /// Outcome of a scenario.
@@ -44,7 +45,7 @@ pub struct DemoReport {
     pub min_clearance_m: f64,
     /// Simulated time, s.
     pub sim_time_s: f64,
-    /// Wall time, s.
+    /// Wall time of the run, s.
     pub wall_time_s: f64,
     /// Plans published.
     pub plans: u64,
@@ -327,8 +328,12 @@ impl DemoReport {
             energy(self.energy_j, self.energy_per_m)
         ));
         lines.push(format!(
-            "simulated {:.1} s in {:.1} s at speed {}, {} plans, {} replans",
-            self.sim_time_s, self.wall_time_s, self.speed, self.plans, self.replans
+            "simulated {:.1} s in {:.1} s at speed {}, {}, {}",
+            self.sim_time_s,
+            self.wall_time_s,
+            self.speed,
+            counted(self.plans, "plan"),
+            counted(self.replans, "replan")
         ));
         lines.push(format!(
             "latency p50/p99 ms: scan to plan {}/{}, goal to motion {}/{}",

@@ -111,6 +111,45 @@ fn a_run_is_reported_although_its_trajectory_cannot_be_stored() {
     assert!(ran.err.contains("/dev/full"), "{}", ran.err);
 }
 
+#[test]
+fn an_endpoint_that_is_in_use_is_told_with_what_may_have_it() {
+    let other = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", other.local_addr().unwrap());
+    let refused = offline(&["router", "--listen", &endpoint]).expect(1);
+    let told = format!("cannot listen on {endpoint}: in use, perhaps by another `zenav up`");
+    assert!(refused.err.contains(&told), "{}", refused.err);
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_at_the_start_of_a_demonstration_leaves_no_files_behind() {
+    use std::io::{BufRead as _, BufReader};
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_zenav"))
+        .args([
+            "demo",
+            "kitchen",
+            "--no-ui",
+            "--no-gateway",
+            "--out",
+            out.to_str().unwrap(),
+        ])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(demo.stderr.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().contains("waiting for the parts")));
+    let interrupt = Command::new("kill").args(["-INT", &demo.id().to_string()]).status();
+    assert!(interrupt.unwrap().success());
+    // Read to the end: a full pipe would hold the process up.
+    let last = lines.map_while(Result::ok).last();
+    assert_eq!(demo.wait().unwrap().code(), Some(130), "{last:?}");
+    let left: Vec<_> = std::fs::read_dir(&out).unwrap().collect();
+    assert!(left.is_empty(), "{left:?}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_goal_is_waited_for_and_its_end_is_the_exit_code() {
     let (_router, endpoint) = router().await;

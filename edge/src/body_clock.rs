@@ -43,6 +43,9 @@ pub enum NotNow {
         /// The longest step, s.
         longest: f64,
     },
+    /// They are the last ones again, and have been for too long.
+    #[error("only the readings of {0:.3} s again and again: the body has no new ones")]
+    Repeated(f64),
     /// They are the first, and nothing has confirmed them yet.
     #[error("the first readings, of {0:.3} s, are not confirmed yet")]
     First(f64),

@@ -1,6 +1,6 @@
 //! Control loop. When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick
 //! is skipped and counted, never caught up. The loop never waits for the network. Readings whose stamp cannot be the body's true time
-//! ([`BodyClock`]) are none: the robot brakes.
+//! ([`BodyClock`]), or that are the last ones again for too long, are none: the robot brakes.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,6 +20,8 @@ const HALTING_TICKS: u32 = 150;
 const AT_REST: f64 = 0.01;
 /// Most ticks for which the first readings may be unconfirmed before that is a fault.
 const CONFIRMING_TICKS: u32 = 10;
+/// Longest time for which the body may repeat its last readings, s: as long as a body on the bus may be silent.
+const LONGEST_REPEAT: f64 = 0.2;
 /// Period of blind ticks while no readings come: the longest wait of a request, and the period at which the robot reports the fault.
 const BLIND_PERIOD: Duration = Duration::from_millis(100);
 
@@ -77,16 +79,35 @@ impl Pace {
     }
 }
 
-/// Judges readings, of which the last ones used are of `last`; without a clock only their order. With a clock that was set back everything
-/// that has a deadline would last for as long again; after readings of the far future all others would be old.
-fn judge(stamp: Stamp, last: Stamp, clock: Option<&mut BodyClock>) -> Result<(), NotNow> {
-    let (got, shown) = (stamp.as_secs(), last.as_secs());
-    match clock {
-        // A body without new readings may repeat its last ones.
-        _ if stamp == last => Ok(()),
-        Some(clock) => clock.judge(stamp),
-        None if stamp < last => Err(NotNow::Old { got, shown }),
-        None => Ok(()),
+/// Judges readings by their stamps.
+struct StampJudge {
+    /// `None` if the body itself refuses stamps that cannot be its true time.
+    clock: Option<BodyClock>,
+    /// Longest wall time for which readings may be repeated.
+    longest_repeat: Duration,
+    /// When the last new readings were accepted.
+    renewed: Option<Instant>,
+}
+
+impl StampJudge {
+    /// Judges readings, of which the last ones used are of `last`. With a clock that was set back everything that has a deadline would last
+    /// for as long again; after readings of the far future all others would be old. While readings are repeated the robot's time stands
+    /// still: nothing expires, and the wheels keep their speeds.
+    fn judge(&mut self, stamp: Stamp, last: Stamp) -> Result<(), NotNow> {
+        let (got, shown) = (stamp.as_secs(), last.as_secs());
+        if stamp == last
+            && let Some(renewed) = self.renewed
+        {
+            let is_short = renewed.elapsed() <= self.longest_repeat;
+            return if is_short { Ok(()) } else { Err(NotNow::Repeated(got)) };
+        }
+        match &mut self.clock {
+            Some(clock) => clock.judge(stamp)?,
+            None if stamp < last => return Err(NotNow::Old { got, shown }),
+            None => {}
+        }
+        self.renewed = Some(Instant::now());
+        Ok(())
     }
 }
 
@@ -101,7 +122,11 @@ pub(crate) fn run(
     metrics: &ControlMetrics,
 ) {
     let mut body = Wheels(body);
-    let mut clock = (!body.0.judges_stamps()).then_some(clock);
+    let mut stamps = StampJudge {
+        clock: (!body.0.judges_stamps()).then_some(clock),
+        longest_repeat: Duration::from_secs_f64(LONGEST_REPEAT / speed),
+        renewed: None,
+    };
     let period = Duration::from_secs_f64(tick / speed);
     let mut timer = (!body.0.gives_the_pace()).then(|| Timer {
         period,
@@ -122,7 +147,7 @@ pub(crate) fn run(
             late = Some(by);
         }
         let read = match body.0.read() {
-            Ok(readings) => match judge(readings.stamp, pilot.now(), clock.as_mut()) {
+            Ok(readings) => match stamps.judge(readings.stamp, pilot.now()) {
                 Ok(()) => Ok(readings),
                 // The robot has not set out yet, and two more readings confirm the first.
                 Err(NotNow::First(_)) if unconfirmed < CONFIRMING_TICKS && !halt.load(Ordering::Relaxed) => {
@@ -185,7 +210,7 @@ mod tests {
 
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::id::Id;
-    use zenav_protocol::messages::{EdgeState, LostPolicy};
+    use zenav_protocol::messages::LostPolicy;
     use zenav_protocol::readings::Readings;
     use zenav_protocol::robot::RobotModel;
 
@@ -199,9 +224,10 @@ mod tests {
     /// A perfect body in a square room, whose clock goes wrong; it ends the loop some readings later.
     struct WrongClock {
         model: RobotModel,
-        /// Its time at the nth reading, h.
-        hours: fn(u32) -> f64,
+        /// Its time at the nth reading, s.
+        secs: fn(u32) -> f64,
         read: u32,
+        last: Readings,
         pose: Pose2,
         angles: [f64; 2],
         /// The commands before and after.
@@ -215,17 +241,20 @@ mod tests {
             if self.read > READINGS[0] + READINGS[1] {
                 self.halt.store(true, Ordering::Relaxed);
             }
-            let hours = (self.hours)(self.read);
-            let stamp = Stamp::from_secs(3600.0 * hours + TICK * f64::from(self.read));
+            let stamp = Stamp::from_secs((self.secs)(self.read));
+            if stamp == self.last.stamp {
+                return Ok(self.last.clone());
+            }
             let sweep = self.read.is_multiple_of(5).then(|| {
                 let lidar = self.model.first_lidar().unwrap();
                 zenav_fixtures::sweep_in_room(lidar, stamp.as_secs(), self.pose, (2.5, 2.5), &[])
             });
-            Ok(Readings {
+            self.last = Readings {
                 wheels: self.angles,
                 sweeps: sweep.into_iter().collect(),
                 ..Readings::new(stamp)
-            })
+            };
+            Ok(self.last.clone())
         }
 
         fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError> {
@@ -241,8 +270,14 @@ mod tests {
         }
     }
 
-    /// What a robot that follows walls by itself commands before and after its clock goes wrong, and the loop's last messages.
-    fn driven(hours: fn(u32) -> f64) -> ([Vec<[f64; 2]>; 2], Arc<Handoff>) {
+    /// The time of the nth reading by a clock that began at `hours`, s.
+    fn time(hours: f64, nth: u32) -> f64 {
+        3600.0 * hours + TICK * f64::from(nth)
+    }
+
+    /// What a robot that follows walls by itself commands before and after its clock goes wrong, and the loop's last messages. `speed`: the
+    /// rate of its time against wall time.
+    fn driven(secs: fn(u32) -> f64, speed: f64) -> ([Vec<[f64; 2]>; 2], Arc<Handoff>) {
         let model = zenav_fixtures::robot("tiago");
         let config = EdgeConfig {
             on_lost: LostPolicy::WallFollow,
@@ -251,8 +286,9 @@ mod tests {
         let (commands, halt) = (Arc::default(), Arc::new(AtomicBool::new(false)));
         let body = WrongClock {
             model,
-            hours,
+            secs,
             read: 0,
+            last: Readings::new(Stamp::ZERO),
             pose: Pose2::IDENTITY,
             angles: [0.0; 2],
             commands: Arc::clone(&commands),
@@ -261,31 +297,55 @@ mod tests {
         let clock = BodyClock::new(config.settings.body.longest_step);
         let pilot = Pilot::new(config, "boot-1".into(), Persisted::default());
         let (handoff, metrics) = (Arc::new(Handoff::default()), ControlMetrics::new("tiago"));
-        run((Box::new(body), clock), pilot, &handoff, (TICK, 1.0), &halt, &metrics);
+        run((Box::new(body), clock), pilot, &handoff, (TICK, speed), &halt, &metrics);
         let commands = std::mem::take(&mut *commands.lock().unwrap());
         assert!(commands[0].iter().any(|wheels| *wheels != [0.0; 2]), "it drove");
         (commands, handoff)
     }
 
+    /// The body's fault in the last state that the robot published.
+    async fn fault(handoff: &Handoff) -> Option<String> {
+        let published = handoff.bundle().await?.publications;
+        published.into_iter().find_map(|publication| match publication {
+            Publication::State(state) => state.faults.body,
+            _ => None,
+        })
+    }
+
     #[tokio::test]
     async fn a_robot_whose_clock_is_set_back_stands_still_and_says_why() {
-        let ([_, after], handoff) = driven(|nth: u32| if nth > READINGS[0] { 1.0 } else { 2.0 });
+        let set_back = |nth: u32| time(if nth > READINGS[0] { 1.0 } else { 2.0 }, nth);
+        let ([_, after], handoff) = driven(set_back, 1.0);
         assert!(after.iter().all(|wheels| *wheels == [0.0; 2]), "{after:?}");
-        let published = handoff.bundle().await.unwrap().publications;
-        let state = published.iter().find_map(|publication| match publication {
-            Publication::State(state) => Some(&**state),
-            _ => None,
-        });
-        let fault = state.and_then(|EdgeState { faults, .. }| faults.body.as_deref());
-        assert!(fault.is_some_and(|why| why.contains("began anew")), "{fault:?}");
+        let fault = fault(&handoff).await;
+        assert!(
+            fault.as_ref().is_some_and(|why| why.contains("began anew")),
+            "{fault:?}"
+        );
+    }
+
+    #[tokio::test]
+    async fn a_robot_whose_body_repeats_its_last_readings_for_too_long_stands_still_and_says_why() {
+        let hangs = |nth: u32| time(2.0, nth.min(READINGS[0]));
+        // At this rate the time allowed is a tenth of a microsecond of wall time, less than any step of the loop takes.
+        let ([_, after], handoff) = driven(hangs, 1e6);
+        assert!(after.iter().all(|wheels| *wheels == [0.0; 2]), "{after:?}");
+        let fault = fault(&handoff).await;
+        assert!(
+            fault.as_ref().is_some_and(|why| why.contains("no new ones")),
+            "{fault:?}"
+        );
+        // And here it is 100 s: more than all of them together.
+        let ([_, after], _) = driven(hangs, 1e-3);
+        assert!(after.iter().take(20).any(|wheels| *wheels != [0.0; 2]), "{after:?}");
     }
 
     #[test]
     fn one_reading_of_the_far_future_does_not_stop_the_robot() {
-        let first = |nth: u32| if nth == 1 { 1e4 } else { 2.0 };
-        let later = |nth: u32| if nth == READINGS[0] + 1 { 1e4 } else { 2.0 };
-        for hours in [first as fn(u32) -> f64, later] {
-            let ([_, after], _) = driven(hours);
+        let first = |nth: u32| time(if nth == 1 { 1e4 } else { 2.0 }, nth);
+        let later = |nth: u32| time(if nth == READINGS[0] + 1 { 1e4 } else { 2.0 }, nth);
+        for secs in [first as fn(u32) -> f64, later] {
+            let ([_, after], _) = driven(secs, 1.0);
             assert!(after.iter().take(20).any(|wheels| *wheels != [0.0; 2]), "{after:?}");
         }
     }

@@ -1,8 +1,8 @@
 //! Other robots. Where will the robots be that announce their course ([`Intent`]), and which of them give way to this one?
 //!
 //! Each becomes a track with a known future ([`crate::obstacle_tracks`]) while its messages arrive. A robot that is silent or parked is
-//! only what a lidar sees of it. Clocks of two robots are never compared: a message holds from its arrival. A message in an older frame of
-//! the map is carried over to this robot's; one in a frame that this robot has not reached, or no longer knows, is ignored.
+//! only what a lidar sees of it. Clocks of two robots are never compared: a message holds from its arrival. All robots share one map frame;
+//! numbers of map frames are not compared either, as each robot's mapping counts its own.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -37,17 +37,10 @@ impl OtherRobots {
         }
     }
 
-    /// Takes the messages that arrived while this robot is `here` (map frame), and forgets silent robots. `moved_since`: how the map has moved
-    /// since another of its frames, if that is known.
-    pub fn receive(
-        &mut self,
-        now: Stamp,
-        here: Point2<f64>,
-        intents: Vec<Intent>,
-        moved_since: impl Fn(u64) -> Option<Pose2>,
-    ) {
+    /// Takes the messages that arrived while this robot is `here` (map frame), and forgets silent robots.
+    pub fn receive(&mut self, now: Stamp, here: Point2<f64>, intents: Vec<Intent>) {
         for intent in intents {
-            if intent.robot == self.own || !intent.is_sound() || moved_since(intent.frame).is_none() {
+            if intent.robot == self.own || !intent.is_sound() {
                 continue;
             }
             match self.place_of(&intent.robot) {
@@ -79,35 +72,24 @@ impl OtherRobots {
         true
     }
 
-    /// Their tracks at a time, in the odometry frame; `own` is this robot's own intent, `moved_since` as for [`receive`](Self::receive).
-    pub fn tracks(
-        &self,
-        now: Stamp,
-        own: &Intent,
-        odom_from_map: Pose2,
-        moved_since: impl Fn(u64) -> Option<Pose2>,
-    ) -> impl Iterator<Item = Track> {
-        self.heard
-            .iter()
-            .zip(FIRST_ID..)
-            .filter_map(move |((arrived, intent), id)| {
-                let odom_from_told = odom_from_map * moved_since(intent.frame)?;
-                let (v, heading) = (intent.velocity.v, (odom_from_told * intent.map_from_base).heading());
-                let makes_way = own.goes_before(intent);
-                let places = intent.places.iter().map(|place| odom_from_told.transform_point(*place));
-                let later = intent.later.iter().map(|place| odom_from_told.transform_point(*place));
-                let course = Course {
-                    places: places.collect(),
-                    step: intent.step,
-                    later: later.collect(),
-                    later_step: intent.later_step,
-                    begun: now.secs_since(*arrived),
-                    planned: intent.driving,
-                    makes_way,
-                };
-                let velocity = heading * v + Vector2::zeros();
-                Some(Track::of_robot(id, intent.radius, velocity, now, course))
-            })
+    /// Their tracks at a time, in the odometry frame; `own` is this robot's own intent.
+    pub fn tracks(&self, now: Stamp, own: &Intent, odom_from_map: Pose2) -> impl Iterator<Item = Track> {
+        self.heard.iter().zip(FIRST_ID..).map(move |((arrived, intent), id)| {
+            let (v, heading) = (intent.velocity.v, (odom_from_map * intent.map_from_base).heading());
+            let makes_way = own.goes_before(intent);
+            let places = intent.places.iter().map(|place| odom_from_map.transform_point(*place));
+            let later = intent.later.iter().map(|place| odom_from_map.transform_point(*place));
+            let course = Course {
+                places: places.collect(),
+                step: intent.step,
+                later: later.collect(),
+                later_step: intent.later_step,
+                begun: now.secs_since(*arrived),
+                planned: intent.driving,
+                makes_way,
+            };
+            Track::of_robot(id, intent.radius, heading * v + Vector2::zeros(), now, course)
+        })
     }
 }
 
@@ -115,53 +97,6 @@ impl OtherRobots {
 mod tests {
     use super::*;
     use zenav_protocol::geometry::Twist2;
-    use zenav_protocol::messages::moved_between;
-
-    /// Of a map that does not move.
-    fn one_frame(frame: u64) -> Option<Pose2> {
-        moved_between(frame, 0, &[])
-    }
-
-    #[test]
-    fn a_course_told_in_an_older_frame_moves_with_the_map_and_one_of_an_unknown_frame_is_ignored() {
-        let told = |frame: u64, x: f64| Intent {
-            robot: "bert".to_owned(),
-            radius: 0.3,
-            map_from_base: Pose2::new(x, 0.0, 0.0),
-            velocity: Twist2::new(1.0, 0.0),
-            frame,
-            step: 0.5,
-            places: vec![Point2::new(x, 0.0), Point2::new(x + 0.5, 0.0)],
-            ..Intent::default()
-        };
-        let mut others = OtherRobots::new("anna");
-        let (now, here, own) = (Stamp::from_secs(10.0), Point2::origin(), told(0, 0.0));
-        // The robot is in frame 4, and knows how the map came there from frame 3.
-        let known = |frame| moved_between(frame, 4, &[Pose2::new(0.0, 2.0, std::f64::consts::FRAC_PI_2)]);
-        let place = |others: &OtherRobots| {
-            let mut tracks = others.tracks(now, &own, Pose2::IDENTITY, known);
-            tracks
-                .next()
-                .map(|track| (track.position, track.at(0.5), track.velocity))
-        };
-        let is_close = |a: Option<(Point2<f64>, Point2<f64>, Vector2<f64>)>, at: [f64; 2], goes: [f64; 2]| {
-            let (goes, at) = (Vector2::from(goes), Point2::from(at));
-            a.is_some_and(|(from, to, velocity)| {
-                (from - at).norm() < 1e-9 && (to - at - 0.5 * goes).norm() < 1e-9 && (velocity - goes).norm() < 1e-9
-            })
-        };
-        for unknown in [2, 5] {
-            others.receive(now, here, vec![told(unknown, 1.0)], known);
-            assert_eq!(place(&others), None, "frame {unknown}");
-        }
-        others.receive(now, here, vec![told(3, 1.0)], known);
-        assert!(is_close(place(&others), [0.0, 3.0], [0.0, 1.0]), "{:?}", place(&others));
-        // Until this robot is there too, the last message counts.
-        others.receive(now, here, vec![told(5, 9.0)], known);
-        assert!(is_close(place(&others), [0.0, 3.0], [0.0, 1.0]), "{:?}", place(&others));
-        others.receive(now, here, vec![told(4, 1.0)], known);
-        assert!(is_close(place(&others), [1.0, 0.0], [1.0, 0.0]), "{:?}", place(&others));
-    }
 
     #[test]
     fn a_robot_is_where_it_said_it_would_be_until_it_is_silent_for_long() {
@@ -181,13 +116,10 @@ mod tests {
             Stamp::from_secs(10.0),
             Point2::origin(),
             vec![intent("anna"), intent("bert"), broken],
-            one_frame,
         );
         let own = intent("anna");
         let tracks = |others: &OtherRobots, secs| -> Vec<Track> {
-            others
-                .tracks(Stamp::from_secs(secs), &own, Pose2::IDENTITY, one_frame)
-                .collect()
+            others.tracks(Stamp::from_secs(secs), &own, Pose2::IDENTITY).collect()
         };
         let tracks_now = tracks(&others, 10.25);
         assert_eq!(tracks_now.len(), 1, "neither itself nor what cannot be");
@@ -196,7 +128,7 @@ mod tests {
         assert!((bert.at(0.5) - Point2::new(1.5, 0.25)).norm() < 1e-9);
         assert!((bert.at(9.0) - Point2::new(1.5, 0.5)).norm() < 1e-9);
         assert!(bert.makes_way(), "by name");
-        others.receive(Stamp::from_secs(11.5), Point2::origin(), Vec::new(), one_frame);
+        others.receive(Stamp::from_secs(11.5), Point2::origin(), Vec::new());
         assert!(tracks(&others, 11.5).is_empty());
     }
 
@@ -212,10 +144,10 @@ mod tests {
             ..Intent::default()
         };
         let far = (0..MOST).map(|nth| at(100.0 + nth as f64)).collect();
-        others.receive(Stamp::ZERO, Point2::origin(), far, one_frame);
-        others.receive(Stamp::ZERO, Point2::origin(), vec![at(1.0), at(500.0)], one_frame);
+        others.receive(Stamp::ZERO, Point2::origin(), far);
+        others.receive(Stamp::ZERO, Point2::origin(), vec![at(1.0), at(500.0)]);
         let own = at(0.0);
-        let places = others.tracks(Stamp::ZERO, &own, Pose2::IDENTITY, one_frame);
+        let places = others.tracks(Stamp::ZERO, &own, Pose2::IDENTITY);
         let places: Vec<f64> = places.map(|track| track.position.x).collect();
         assert_eq!(places.len(), MOST);
         assert!(places.contains(&1.0) && !places.contains(&500.0) && !places.contains(&163.0));

@@ -173,6 +173,11 @@ impl Telemetry {
         self.state.now(now, self.settings.state_period)
     }
 
+    /// Makes the intent due at once.
+    pub fn hasten_intent(&mut self) {
+        self.intent = Due::default();
+    }
+
     /// Whether the intent is due.
     pub fn intent_due(&mut self, now: Stamp) -> bool {
         self.intent.now(now, self.settings.intent_period)

@@ -13,6 +13,7 @@ const FASTEST: f64 = 50.0;
 
 /// How the wheels are arranged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum DriveKind {
     /// Two driven wheels on one axle through the base's origin, left and right; all other wheels are passive.
@@ -28,6 +29,7 @@ impl DriveKind {
 
 /// Wheels and motors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Drive {
     /// How the wheels are arranged; the default is not serialised.
@@ -66,6 +68,7 @@ pub struct Drive {
 /// Systematic and random errors of a drive's odometry (Borenstein and Feng, "Measurement and Correction of Systematic Odometry Errors in
 /// Mobile Robots", 1996), and deviations of the body's dynamics. The simulator applies them; the robot's software reads none of them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct DriveErrors {
     /// Relative error of the wheel radii (left, right): positive means larger than stated.

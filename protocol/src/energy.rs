@@ -19,6 +19,7 @@ const GRAVITY: f64 = 9.81;
 
 /// Motors and load of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct MotorModel {
     /// Mass of the robot with its load, kg.

@@ -5,6 +5,7 @@ use crate::config_text::OutOfBounds;
 
 crate::settings! {
     /// Gains of the trackers.
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     pub struct ControllerGains {
         /// Name of the tracking law: `time_law`, `pure_pursuit`, `pid`, `wheel_law`, `wheel_law_original`, `heading_first`. Checked by the
         /// edge.
@@ -59,6 +60,7 @@ crate::settings! {
 
 crate::settings! {
     /// Trajectory tracker: slowing of plan time when the robot deviates, and settling at the end.
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[derive(Copy)]
     pub struct TimeLawGains {
         /// Along-track lag up to which plan time runs at full rate.
@@ -93,6 +95,7 @@ crate::settings! {
 
 crate::settings! {
     /// Regulated pure pursuit: lookahead point, and where the robot slows down.
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[derive(Copy)]
     pub struct PurePursuitGains {
         /// Least lookahead distance.
@@ -113,6 +116,7 @@ crate::settings! {
 
 crate::settings! {
     /// PID law: limits.
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[derive(Copy)]
     pub struct PidGains {
         /// Limit of the integral.
@@ -128,6 +132,7 @@ crate::settings! {
 
 crate::settings! {
     /// Wheel law.
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[derive(Copy)]
     pub struct WheelLawGains {
         /// Bearing beyond which the robot turns on the spot.
@@ -139,6 +144,7 @@ crate::settings! {
 
 crate::settings! {
     /// Heading-first law.
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[derive(Copy)]
     pub struct HeadingFirstGains {
         /// Bearing below which the robot drives.

@@ -25,7 +25,7 @@ macro_rules! readings {
                 pub $kind: Option<$crate::sensors::$Reading>,
             )*
             /// Finished lidar sweeps, at most one per lidar. On the wire `sweep`: `null`, a sweep, or a list of sweeps.
-            #[cfg_attr(feature = "schema", schemars(with = "Vec<Sweep>"))]
+            #[cfg_attr(feature = "schema", schemars(schema_with = "none_one_or_many::schema"))]
             #[serde(rename = "sweep", default, with = "none_one_or_many")]
             pub sweeps: Vec<Sweep>,
             /// Contact sensor.

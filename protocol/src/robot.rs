@@ -22,6 +22,7 @@ macro_rules! robot_model {
     ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
         /// A robot, as described by its file.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
         #[serde(deny_unknown_fields)]
         pub struct RobotModel {
             /// Name of the model.
@@ -94,6 +95,7 @@ crate::sensor_kinds!(robot_model []);
 /// assert!((footprint.distance(Point2::new(0.65, 0.0)) - 0.5).abs() < 1e-9);
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(with = "FootprintTable"))]
 #[serde(rename_all = "snake_case", try_from = "FootprintTable")]
 pub enum Footprint {
     /// A disc around the base, m.
@@ -104,9 +106,11 @@ pub enum Footprint {
 
 /// A footprint as written in the file: exactly one of the keys. The corners run either way round.
 #[derive(Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct FootprintTable {
     radius: Option<f64>,
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<[f64; 2]>>"))]
     polygon: Option<Vec<Pair>>,
 }
 

@@ -3,8 +3,8 @@
 //! In `zenav/{robot}/{side}/{name}` the third chunk determines who may write or serve the key, so one access rule covers a side.
 //!
 //! A new ask is one row here: key, request, reply, server, permitted requesters, size and encoding. A component that serves several asks
-//! receives them as one type ([`EdgeRequest`], [`MissionRequest`]): the row adds a variant, the bus serves it, and the component does not
-//! compile until its core answers it.
+//! receives them as one type ([`EdgeRequest`], [`MissionRequest`], [`MappingRequest`]): the row adds a variant, the bus serves it, and the
+//! component does not compile until it answers it.
 
 use std::fmt::Debug;
 use std::marker::PhantomData;
@@ -258,7 +258,7 @@ pub trait AskVisitor<P: PartAsks> {
         reply: fn(P::Reply) -> Option<R>,
     ) -> Result<(), Self::Error>
     where
-        Q: DeserializeOwned + Clone + Send + Sync + 'static,
+        Q: DeserializeOwned + Send + Sync + 'static,
         R: Serialize + Send + Sync + 'static;
 }
 
@@ -559,11 +559,13 @@ crate::sensor_kinds!(key_table [
         CLOUD_INFO, Info: InfoRequest => InfoReply = "zenav/{robot}/ask/cloud/info", Viewer, 4 * KIB;
         JOIN, Join: JoinRequest => JoinReply = "zenav/{robot}/ask/cloud/join", Service, 4 * MIB;
     }
+    part Mapping, MappingRequest => MappingReply {
+        MAP, Map: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Operator, 64 * MIB, Cbor;
+        LOCALISE, Localise: LocaliseRequest => LocaliseReply = "zenav/{robot}/ask/cloud/localise", Operator, 4 * KIB;
+        ANNOTATE, Annotate: AnnotateRequest => Annotations = "zenav/{robot}/ask/cloud/annotate", Operator, MIB;
+    }
     asks {
         JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, Service, 16 * MIB;
-        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, Operator, 64 * MIB, Cbor;
-        LOCALISE: LocaliseRequest => LocaliseReply = "zenav/{robot}/ask/cloud/localise", Mapping, Operator, 4 * KIB;
-        ANNOTATE: AnnotateRequest => Annotations = "zenav/{robot}/ask/cloud/annotate", Mapping, Operator, MIB;
         MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, Service, 4 * MIB;
         EDGE_LOG: LogRequest => LogReply = "zenav/{robot}/ask/edge/log", Edge, Operator, 4 * KIB;
         PART_LOG: LogRequest => LogReply = "zenav/svc/log/{part}", Part, Operator, 4 * KIB;

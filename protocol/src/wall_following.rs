@@ -8,6 +8,7 @@ const BESIDE: f64 = 0.15;
 
 crate::settings! {
     /// Distances, speeds and gains of the wall follower.
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     pub struct WallFollowing {
         /// Distance kept from the wall. If it is not set, it is at least 0.15 m more than the robot's reach.
         pub target_distance: f64 = 0.55, "m", 0.05..=12.0;

@@ -1,7 +1,7 @@
 // Goals. Which run, wait, and have ended, and why?
 
 import { cancelGoal, listGoals, moveGoal, pauseGoal, resumeGoal } from "./api.js";
-import { $, byName, degrees, duration, el, radians, refill, setText } from "./dom.js";
+import { $, byName, degrees, duration, el, radians, refill, setText, toast } from "./dom.js";
 import { attempt, sendGoal } from "./send.js";
 import { store } from "./store.js";
 
@@ -11,6 +11,8 @@ const SIGNS = {
 };
 let drawn = "";
 let again;
+/** Goals that were open when they were drawn last. */
+let open = new Set();
 
 export function titleOf(goal) {
   const { request } = goal;
@@ -122,7 +124,18 @@ function drawActive(goal) {
   pause.onclick = () => attempt(paused ? "Not resumed" : "Not paused", () => (paused ? resumeGoal : pauseGoal)(store.watched, goal.id));
 }
 
+/** Tells of goals that have ended since; a cancelled one was told by whoever did it. */
+function tellEnds() {
+  for (const id of open) {
+    const goal = store.goals.get(id);
+    if (goal?.state === "Succeeded") toast(`Goal reached: ${titleOf(goal)}`, "good");
+    if (goal?.state === "Aborted") toast(`Goal failed: ${titleOf(goal)}: ${goal.reason ?? "no reason given"}`, "bad");
+  }
+  open = new Set([...store.goals.values()].filter((goal) => !Number.isFinite(goal.ended)).map((goal) => goal.id));
+}
+
 export function drawGoals() {
+  tellEnds();
   const running = store.runningGoal();
   drawActive(running);
   const rest = [...store.goals.values()].filter((goal) => goal !== running);

@@ -34,6 +34,7 @@ function median(values) {
 
 /** The link, from the page to the robot's command: text, kind, what stands in the tooltip. */
 export function linkOf(state) {
+  if (store.socket !== "open" && store.locked) return ["gateway needs its token", "bad", "The gateway gives no data without its token."];
   if (store.socket !== "open" && store.refused) return ["gateway refuses this page", "bad", "The gateway answers, but gives no live data. The page tries again by itself."];
   if (store.socket !== "open") return ["gateway lost: reconnecting …", "bad", "No connection to the gateway. The page reconnects by itself."];
   if (!store.connected) return ["bus lost", "bad", "The gateway does not reach the router."];
@@ -52,6 +53,10 @@ export function linkOf(state) {
   const kind = trip?.loss > 0.05 ? "warn" : "good";
   if (trip?.p50_ms == null) return ["link good", kind, detail];
   return [`link ${trip.p50_ms.toFixed(0)} ms`, kind, detail, `p95 ${trip.p95_ms.toFixed(0)} ms${trip.loss > 0 ? `, ${lost}` : ""}`];
+}
+
+function unbadge(id) {
+  $("badges").querySelector(`[data-id="${id}"]`)?.remove();
 }
 
 function badge(id, text, kind, title, small) {
@@ -124,6 +129,8 @@ function drawBadges() {
   const holder = !lease.live ? "nobody" : lease.role !== "operator" ? lease.holder ?? "nobody" : mine ? "this page" : "operator";
   badge("lease", holder, (lease.live ? (lease.role === "operator" ? "warn" : "good") : "warn") + old,
     `Who may command the robot: ${lease.live ? `${lease.holder}, ${lease.role}, epoch ${lease.epoch}` : "nobody holds the lease"}`, "in command");
+  if (store.isMapOld()) badge("map", `map of ${age(store.age("parts"))}`, `warn${old}`, "The robot's mapping service is gone: the map is as it was then");
+  else unbadge("map");
 }
 
 /** The robot's pose in figures, beside the pointer's position. */
@@ -145,24 +152,36 @@ function fitBadges() {
   }
 }
 
+/** What the robot itself reports as out of order, in words; null if nothing is. */
+function faultOf(state) {
+  const { body, storage, lidar } = state?.faults ?? {};
+  if (body) return `gets no readings from its body: ${body}`;
+  if (storage) return `cannot store its epoch and stop: ${storage}`;
+  return lidar ? `drives slowly: ${lidar}` : null;
+}
+
 function drawBanner() {
   const state = store.data("state");
   const banner = $("banner");
   const robot = store.watched ?? "the robot";
-  const say = (text, bad) => {
+  const say = (text, bad, old = "") => {
     banner.hidden = false;
     banner.className = bad ? "bad" : "";
-    setText(banner, text);
+    setText(banner.firstElementChild, text);
+    setText(banner.lastElementChild, old);
   };
+  const last = Number.isFinite(store.age("state")) ? `Last state: ${age(store.age("state"))}.` : "";
   const [link, kind] = linkOf(state);
-  if (store.socket === "closed" && store.refused) say("The gateway answers, but gives this page no live data: too many browsers, or an origin that it does not know. This is old data. Trying again …", true);
-  else if (store.socket === "closed") say("Gateway lost: this is old data, and STOP does not reach the robot from this page. Reconnecting …", true);
-  else if (state && kind === "bad") say(`${capital(link)}. Last state: ${age(store.age("state"))}.`, true);
+  if (store.socket === "closed" && store.locked) say("The gateway needs its token: without it this page has no data, and STOP does not reach the robot.", true, last);
+  else if (store.socket === "closed" && store.refused) say("The gateway answers, but gives this page no live data: too many browsers, or an origin that it does not know. This is old data. Trying again …", true, last);
+  else if (store.socket === "closed") say("Gateway lost: this is old data, and STOP does not reach the robot from this page. Reconnecting …", true, last);
+  else if (state && kind === "bad" && link.startsWith("cloud lost")) say("Cloud lost: the robot is on its own. STOP still works.", true);
+  else if (state && kind === "bad") say(`${capital(link)}.`, true, last);
   else if (state?.mode === "stopped") say(`${robot} is stopped until somebody resumes it.`, true);
   else if (astray()) say(`${robot} is ${astray()}. It follows no plan until it is localised: set its pose on the map (P).`, true);
+  else if (faultOf(state)) say(`${robot} ${faultOf(state)}`, Boolean(state.faults.body || state.faults.storage));
   else if (state?.guard === "stop" && state.mode !== "idle") say("The collision monitor holds the robot: an obstacle is too close.", false);
   else banner.hidden = true;
-  if (state && kind === "bad" && link.startsWith("cloud lost")) setText(banner, `Cloud lost: the robot is on its own. STOP still works.`);
   const next = kind === "bad" ? link : "";
   if (next === raised) return;
   if (next) alarm(next);

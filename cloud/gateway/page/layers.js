@@ -105,11 +105,14 @@ function isFresh(plan) {
   return plan.trajectory_id !== over && (driven?.trajectory_id === plan.trajectory_id || store.age("plan") < 3);
 }
 
-/** Whether the robot may no longer drive a plan: it is drawn faintly. */
+/** Whether the robot may no longer drive a plan. */
 function isExpired(plan) {
   const driven = store.data("state")?.plan;
   return driven?.trajectory_id === plan.trajectory_id && driven.valid_for <= 0;
 }
+
+/** Whether a plan is drawn faintly: it may no longer be driven, or nobody knows. */
+const isFaint = (plan) => isExpired(plan) || store.isStale();
 
 /** Poses along a plan, at most `step` m apart, so that outlines drawn at them join. */
 function posesAlong(plan, step) {
@@ -132,7 +135,7 @@ function drawSwath(context, camera, colours, plan) {
   const outline = store.data("model")?.outline;
   if (!outline || plan.yaws.length === 0 || !isFresh(plan)) return;
   context.fillStyle = colours.good;
-  context.globalAlpha = isExpired(plan) ? 0.06 : 0.16;
+  context.globalAlpha = isFaint(plan) ? 0.06 : 0.16;
   context.beginPath();
   for (const [x, y, yaw] of posesAlong(plan, Math.max(0.03, 6 / camera.scale))) {
     const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
@@ -151,7 +154,7 @@ function drawPlan(context, camera, colours, plan) {
   const points = plan.points;
   if (!isFresh(plan)) return;
   const top = topOf(plan);
-  context.globalAlpha = isExpired(plan) ? 0.3 : 1;
+  context.globalAlpha = isFaint(plan) ? 0.3 : 1;
   context.lineCap = "round";
   context.lineJoin = "round";
   context.strokeStyle = colours["map-free"];
@@ -350,7 +353,9 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
   context.fillRect(0, 0, camera.width, camera.height);
   const on = (name) => layers[name].on;
   if (store.raster.spec) {
+    context.globalAlpha = store.isMapOld() || store.socket !== "open" ? 0.5 : 1;
     if (on("map")) drawPicture(context, camera, store.raster.canvas, store.raster.spec);
+    context.globalAlpha = 1;
     if (on("clearance")) {
       const { picture, spec } = store.raster.clearancePicture();
       drawPicture(context, camera, picture, spec);

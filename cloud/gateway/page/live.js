@@ -53,6 +53,7 @@ async function retry() {
   greeted = false;
   const reason = await reasonOfClose();
   store.refused = reason === 200 && !wasGreeted;
+  store.locked = reason === 401;
   if (reason === 401) {
     const given = await ask({
       title: "Token of the gateway", text: "This gateway needs a token: the first line of its token file.", yes: "Connect", field: "Token",
@@ -106,7 +107,7 @@ function take(message) {
     case "hello":
       wait = 250;
       greeted = true;
-      store.refused = false;
+      store.refused = store.locked = false;
       store.hello(message);
       setState("open");
       if (store.watched) watch(store.watched);

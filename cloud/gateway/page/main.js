@@ -95,7 +95,10 @@ function startToolbar() {
   for (const tool of TOOLS) $(`tool-${tool}`).onclick = () => tools.choose(tool);
   $("zoom-in").onclick = () => zoom(1.4);
   $("zoom-out").onclick = () => zoom(1 / 1.4);
-  $("fit").onclick = fit;
+  $("fit").onclick = () => {
+    setFollow(false);
+    fit();
+  };
   $("follow").onclick = () => setFollow($("follow").getAttribute("aria-pressed") !== "true");
 }
 
@@ -125,7 +128,7 @@ function startKeys() {
     g: () => tools.choose("goal"), h: () => tools.choose("pan"), m: () => tools.choose("measure"), p: () => tools.choose("pose"), n: () => tools.choose("place"),
     z: () => tools.choose("zone"), delete: () => tools.removeCorner(), backspace: () => tools.removeCorner(), f: () => press("follow"),
     l: () => press("layers-button"), "?": () => press("help-button"),
-    0: fit, "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), s: () => { if (!drives()) stop(); }, x: stop,
+    0: () => press("fit"), "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), s: () => { if (!drives()) stop(); }, x: stop,
   };
   window.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || $("dialog").open) return;

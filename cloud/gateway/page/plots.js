@@ -18,6 +18,9 @@ const KEPT = "zenav-plots";
 let plots = [];
 let select = null;
 
+/** Channels that the map draws: their numbers are places. */
+const DRAWN = /^(scan|marker)(\/|$)|^annotations$/;
+
 /** Numeric fields of a message, as paths: `pose.v`, `state.plan.distance_left`. */
 function fieldsOf(value, path, found) {
   if (typeof value === "number") found.push(path);
@@ -37,11 +40,7 @@ function nameOf(path) {
 
 function allFields() {
   const found = [];
-  for (const name of ["pose", "state", "plan", "round_trip", "mission"]) {
-    const data = store.data(name);
-    if (name === "mission") fieldsOf(data?.feedback, "mission.feedback", found);
-    else fieldsOf(data, name, found);
-  }
+  for (const name of store.channels()) if (!DRAWN.test(name)) fieldsOf(store.data(name), name, found);
   return found.filter((path) => !/stamp|boot|incarnation|trajectory_id/.test(path));
 }
 

@@ -22,6 +22,8 @@ class Store extends EventTarget {
     this.socket = "connecting";
     /** Whether the gateway answers, but refuses the link: too many browsers, or an origin that it does not know. */
     this.refused = false;
+    /** Whether it refuses it for want of its token. */
+    this.locked = false;
     /** Whether the gateway reaches the bus. */
     this.connected = false;
     this.fleet = [];
@@ -99,6 +101,12 @@ class Store extends EventTarget {
     return summary ?? (robot === this.watched ? this.detail.get(name) : undefined);
   }
 
+  /** Names of the channels of the watched robot: its summary, then its details. */
+  channels() {
+    const summary = Object.keys(this.robots.get(this.watched) ?? {}).filter((name) => name !== "before");
+    return [...summary, ...this.detail.keys()];
+  }
+
   data(name, robot = this.watched) {
     return this.channel(name, robot)?.data;
   }
@@ -111,6 +119,11 @@ class Store extends EventTarget {
 
   isStale(robot = this.watched) {
     return this.socket !== "open" || this.age("state", robot) > STALE;
+  }
+
+  /** Whether there is a map that no mapping service keeps any more. */
+  isMapOld() {
+    return Boolean(this.raster.spec) && this.data("parts")?.includes("mapping") === false;
   }
 
   /** Begins anew: the gateway may have been another one before. */

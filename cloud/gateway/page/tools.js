@@ -52,6 +52,8 @@ class Tools {
   /** Begins with something that is there: a place or a zone to be edited. */
   edit(draft) {
     this.choose(draft.kind);
+    // On a narrow screen the panels lie below the map.
+    scrollTo(0, 0);
     dropDraft();
     this.draft = { ...draft, robot: store.watched };
     this.corner = -1;

@@ -1,12 +1,15 @@
 // Behaviour tree. What does the mission do now, and what failed last?
 
 import { $, el, setText } from "./dom.js";
+import { titleOf } from "./goals.js";
 import { store } from "./store.js";
 
 const SIGNS = { RUNNING: "▶", SUCCESS: "✓", FAILURE: "✗", SKIPPED: "↷", IDLE: "·" };
 const CLASSES = { RUNNING: "running", SUCCESS: "success", FAILURE: "failure-now", SKIPPED: "skipped", IDLE: "" };
 let shape = "";
 let failure = "";
+/** The robot whose tree shows. */
+let owner = null;
 /** Nodes whose ports show. */
 const open = new Set();
 
@@ -46,6 +49,18 @@ function drawPorts(row, node) {
   list.replaceChildren(...(shows ? ports.flatMap(([port, words]) => [el("dt", {}, port), el("dd", {}, words)]) : []));
 }
 
+function drawFailure() {
+  $("tree-failure").hidden = !failure;
+  setText($("tree-failure"), failure ? `Last failure: ${failure}` : "");
+}
+
+/** Why the goal that ended last failed; empty if it did not. The failure that ends a tree is told with its goal, not with its nodes. */
+function endOfTree() {
+  const ended = [...store.goals.values()].filter((goal) => Number.isFinite(goal.ended));
+  const last = ended.sort((a, b) => b.ended - a.ended)[0];
+  return last?.state === "Aborted" && last.reason ? `goal ${titleOf(last)}: ${last.reason}` : "";
+}
+
 export function drawTree() {
   const mission = store.data("mission");
   const nodes = mission?.nodes ?? [];
@@ -67,6 +82,8 @@ export function drawTree() {
       setText(feedback, "");
       setText(spoken, ", ended");
     }
+    failure = endOfTree() || failure;
+    drawFailure();
     return;
   }
   const now = JSON.stringify([store.watched, mission.goal_id, nodes.map((node) => [node.uid, node.parent, node.name])]);
@@ -89,12 +106,19 @@ export function drawTree() {
     setText(spoken, `, ${node.status.toLowerCase()}${kept ? `, last ${kept.toLowerCase()}` : ""}`);
     drawPorts(row, node);
   });
-  $("tree-failure").hidden = !failure;
-  setText($("tree-failure"), failure ? `Last failure: ${failure}` : "");
+  drawFailure();
 }
 
 export function startTree() {
   $("tree-ports").onchange = drawTree;
+  store.on("watch", () => {
+    if (owner === store.watched) return;
+    owner = store.watched;
+    shape = failure = "";
+    $("tree").replaceChildren();
+    drawFailure();
+    drawTree();
+  });
   drawTree();
   store.on("frame", () => {
     if (!$("panel-tree").hidden) drawTree();

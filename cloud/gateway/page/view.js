@@ -115,8 +115,8 @@ function tick() {
   view.drawn += 1;
 }
 
-/** Counters for tests and for those who look closely. */
-export const view = { drawn: 0, camera, layers };
+/** For tests, and for those who look closely. */
+export const view = { drawn: 0, camera, layers, redraw };
 
 function pointerText(event) {
   const [x, y] = camera.toWorld(event.offsetX, event.offsetY);

@@ -381,6 +381,21 @@ mod tests {
     }
 
     #[test]
+    fn round_trips_are_told_as_median_95th_percentile_and_loss() {
+        let (mut view, mut client) = (FleetView::new(), Client::new());
+        client.watch(Some("a".into()));
+        let answered = (1..=18).map(|ms| Some(f64::from(ms) * 1e-3));
+        for took in answered.chain([None, None]) {
+            view.take("a", Update::RoundTrip(took), 1.0);
+        }
+        let told = told(&mut client, &view, 1.0);
+        assert_eq!(
+            told["detail"]["round_trip"]["data"],
+            json!({ "p50_ms": 10.0, "p95_ms": 17.0, "loss": 0.1 })
+        );
+    }
+
+    #[test]
     fn a_jump_of_the_pose_breaks_the_trail() {
         let (mut view, mut client) = (FleetView::new(), Client::new());
         client.watch(Some("a".into()));

@@ -2,11 +2,11 @@
 
 use nalgebra::{Matrix3, Point2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_scan_matching::{Refinable, Window, floored, search_among, turned};
+use zenav_scan_matching::{Refinable, Search, Window, floored, search_among, turned};
 
 use crate::evidence::{Evidence, evidence};
 use crate::known_map::KnownMap;
-use crate::settings::LocalisationSettings;
+use crate::settings::{GlobalSettings, LocalisationSettings};
 
 /// Least standard deviation of a found place, m and rad: one scan determines it no better.
 const FOUND: (f64, f64) = (0.05, 0.02);
@@ -107,20 +107,7 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
         ..Window::around(center, 0.5 * width, std::f64::consts::PI)
     };
     let look = |window: &Window| search_among(map.pyramid(), Some(map.places()), &thinned, window);
-    // A place that scores well is found quickly. If none does, all that score enough are searched for.
-    let (mut searched, mut bound) = (look(&window), window.min_score);
-    if searched.found.is_empty() && global.min_score < bound {
-        bound = global.min_score;
-        searched = look(&Window {
-            min_score: bound,
-            ..window
-        });
-    }
-    // Places about as good as the best one count even if they score less than it had to.
-    let rival = searched.found.first().map(|best| best.score - global.within);
-    if let Some(min_score) = rival.filter(|rival| *rival < bound) {
-        searched = look(&Window { min_score, ..window });
-    }
+    let searched = candidates(&window, global, look);
     // If the list of places is full, some were dropped.
     let is_exact = searched.is_exact && searched.found.len() < window.count;
     let scan = Refinable::new(points);
@@ -158,6 +145,27 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
         Some(place) if is_exact => Found::Unique(*place),
         _ => Found::OutOfBudget,
     }
+}
+
+/// The places that may count: all about as good as the best one, which scores enough. `look` searches a window.
+fn candidates(window: &Window, global: &GlobalSettings, mut look: impl FnMut(&Window) -> Search) -> Search {
+    // A place that scores well is found quickly. If none does, all that score enough are searched for.
+    let (mut searched, mut bound) = (look(window), window.min_score);
+    if searched.found.is_empty() && global.min_score < bound {
+        bound = global.min_score;
+        searched = look(&Window {
+            min_score: bound,
+            ..*window
+        });
+    }
+    // Places about as good as the best one count even if they score less than it had to. A budget that was too small for the higher bound
+    // is too small for this one.
+    let best = searched.found.first().filter(|_| searched.is_exact);
+    let rival = best.map(|best| best.score - global.within);
+    if let Some(min_score) = rival.filter(|rival| *rival < bound) {
+        searched = look(&Window { min_score, ..*window });
+    }
+    searched
 }
 
 /// The pose near a found one from which most beams end at the first wall on their way. A thin wall has two faces, and a scan that sees only
@@ -236,6 +244,35 @@ fn turns_less(a: Pose2, b: Pose2, turn: f64) -> bool {
 mod tests {
     use super::*;
     use zenav_fixtures::{map_where, spec};
+    use zenav_scan_matching::Candidate;
+
+    #[test]
+    fn rivals_are_searched_for_only_after_a_search_that_its_budget_sufficed_for() {
+        let global = LocalisationSettings::default().global;
+        let window = Window {
+            min_score: global.good_score,
+            ..Window::around(Pose2::IDENTITY, 1.0, 0.1)
+        };
+        // The only place scores enough, but not well, and a rival may score too little.
+        let place = Candidate {
+            pose: Pose2::IDENTITY,
+            score: global.min_score + 0.5 * global.within,
+        };
+        for (is_exact, searches) in [(true, 3), (false, 2)] {
+            let mut bounds = Vec::new();
+            let searched = candidates(&window, &global, |window| {
+                bounds.push(window.min_score);
+                let is_found = place.score >= window.min_score;
+                Search {
+                    found: is_found.then_some(place).into_iter().collect(),
+                    is_exact,
+                    scored: window.budget,
+                }
+            });
+            assert_eq!(bounds.len(), searches, "{bounds:?}");
+            assert_eq!(searched.found, [place]);
+        }
+    }
 
     #[test]
     fn of_the_two_faces_of_a_thin_wall_the_near_one_is_meant() {

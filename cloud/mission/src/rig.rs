@@ -8,8 +8,8 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    EdgeState, GoalPoint, InfoReply, LeaseReply, Link, MapPatch, MapRef, Mode, MotionReply, PlanOutcome, PlanProgress,
-    PlanReply, PlanStatistics, PoseEstimate, SmoothReply, TILE, Tile, TrajectoryReply,
+    EdgeState, GoalPoint, InfoReply, LeaseReply, Link, MapFrame, MapPatch, MapRef, Mode, MotionReply, PlanOutcome,
+    PlanProgress, PlanReply, PlanStatistics, PoseEstimate, SmoothReply, TILE, Tile, TrajectoryReply,
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
@@ -41,6 +41,8 @@ pub struct Rig {
     pub speed: f64,
     pub progress: Option<PlanProgress>,
     revision: u64,
+    /// Frame of the map.
+    frame: u64,
 }
 
 impl Rig {
@@ -77,6 +79,7 @@ impl Rig {
             speed: 0.0,
             progress: None,
             revision: 0,
+            frame: 0,
         };
         rig.at(1.0);
         rig.show(None);
@@ -95,6 +98,7 @@ impl Rig {
             plan: self.progress.clone(),
             velocity,
             battery: 1.0,
+            frame: self.frame,
             ..EdgeState::default()
         };
         let pose = PoseEstimate {
@@ -102,7 +106,7 @@ impl Rig {
             map_from_base: Pose2::new(self.x, 0.0, 0.0),
             covariance: [0.0; 9],
             velocity,
-            frame: 0,
+            frame: self.frame,
         };
         self.ctx.now = now;
         self.ctx.motion.observe(now, Some(&state), &[]);
@@ -130,7 +134,7 @@ impl Rig {
             map: MapRef {
                 id: "m".to_owned(),
                 revision: self.revision + 1,
-                frame: 0,
+                frame: self.frame,
             },
             base_revision: self.revision,
             spec: SPEC,
@@ -138,6 +142,22 @@ impl Rig {
         };
         self.revision += 1;
         self.ctx.map.observe(self.ctx.now, None, &[patch]);
+    }
+
+    /// A loop closure moves the map as a whole: it begins its next frame.
+    pub fn closes(&mut self, moved: Pose2) {
+        self.frame += 1;
+        let map = MapRef {
+            id: "m".to_owned(),
+            revision: self.revision,
+            frame: self.frame,
+        };
+        self.ctx.frames.observe(MapFrame {
+            map,
+            moves: vec![moved],
+            ..MapFrame::default()
+        });
+        self.show(None);
     }
 
     /// The robot follows the plan in force, which leads along the x axis; it is here, m.

@@ -15,7 +15,7 @@ use crate::slam::Slam;
 use crate::submap::{SEARCH_POINTS, Scans, Submap, thinned};
 
 /// A second place within this much of the best score is as good: the closure is ambiguous.
-const AMBIGUOUS: f64 = 0.03;
+pub(crate) const AMBIGUOUS: f64 = 0.03;
 /// The same for a match far from its expected pose: along a row of equal doors, a fully visible wrong place outscores the true one by a
 /// little.
 const FAR_AMBIGUOUS: f64 = 0.1;
@@ -56,6 +56,8 @@ pub(crate) struct Around {
     pub(crate) turn: f64,
     /// Blocks that the search may score.
     pub(crate) budget: usize,
+    /// Least score margin over any other place of a match farther away than [`ClosureSettings::reach`]; a nearer one needs [`AMBIGUOUS`].
+    pub(crate) far_margin: f64,
 }
 
 /// A node, the submap in which it was found, and its pose there.
@@ -67,8 +69,8 @@ pub(crate) enum Seen {
     No,
     /// The budget ran out first.
     Cut,
-    /// The scan's pose in the submap, and its score margin over any other place.
-    At(Refined, f64),
+    /// The scan's pose in the submap.
+    At(Refined),
 }
 
 /// Searches for a node's scan in older submaps and adds closures to the graph; returns their number. `laser`: origin of the beams in the
@@ -90,15 +92,12 @@ pub(crate) fn close(slam: &mut Slam, node: usize, laser: Point2<f64>) -> Result<
 /// The match of a node in a place, and, if it lies far from the expected pose, its confirmation: nodes, each with its submap and its pose
 /// there.
 fn matches(slam: &mut Slam, node: usize, place: &Place, laser: Point2<f64>) -> Vec<Match> {
-    let Some((refined, margin)) = searched(slam, node, place.submap, place.around, laser) else {
+    let Some(refined) = searched(slam, node, place.submap, place.around, laser) else {
         return Vec::new();
     };
     let own = (node, place.submap, refined);
     if distance(slam, node, place.submap, refined.pose) <= slam.settings.closure.reach {
         return vec![own];
-    }
-    if margin < FAR_AMBIGUOUS {
-        return Vec::new();
     }
     let second = witness(slam, node, place, &refined, laser);
     second.map_or_else(Vec::new, |second| vec![own, second])
@@ -144,6 +143,7 @@ fn place(slam: &Slam, node: usize, submap: usize, anchor_from_node: &Uncertain) 
             reach,
             turn,
             budget: (u64::from(limits.budget) * size) as usize,
+            far_margin: FAR_AMBIGUOUS,
         },
         size,
     }
@@ -156,7 +156,7 @@ fn is_left(slam: &Slam, submap: usize, node: usize) -> bool {
 }
 
 /// Searches for a node's scan in a submap, around its expected pose.
-fn searched(slam: &mut Slam, node: usize, submap: usize, around: Around, laser: Point2<f64>) -> Option<(Refined, f64)> {
+fn searched(slam: &mut Slam, node: usize, submap: usize, around: Around, laser: Point2<f64>) -> Option<Refined> {
     slam.counts.searched += 1;
     let poses = slam.back_end.poses();
     let submap = &mut slam.submaps[submap];
@@ -174,7 +174,7 @@ fn searched(slam: &mut Slam, node: usize, submap: usize, around: Around, laser: 
         &slam.scans[node],
         &slam.settings,
     ) {
-        Seen::At(refined, margin) => Some((refined, margin)),
+        Seen::At(refined) => Some(refined),
         Seen::No => None,
         Seen::Cut => {
             slam.counts.cut += 1;
@@ -193,6 +193,11 @@ fn distance(slam: &Slam, node: usize, submap: usize, anchor_from_node: Pose2) ->
 fn witness(slam: &mut Slam, node: usize, place: &Place, refined: &Refined, laser: Point2<f64>) -> Option<Match> {
     let poses = slam.back_end.poses();
     let new_from_old = poses[slam.submaps[place.submap].anchor] * refined.pose * poses[node].inverse();
+    // A witness is far from its expected pose, too, but the first match says where it must be: the usual margin is enough.
+    let around = Around {
+        far_margin: AMBIGUOUS,
+        ..place.around
+    };
     let mut last = node;
     for _ in 0..WITNESSES {
         let poses = slam.back_end.poses();
@@ -200,7 +205,7 @@ fn witness(slam: &mut Slam, node: usize, place: &Place, refined: &Refined, laser
         last = before.find(|second| poses[*second].distance(&poses[last]) >= WITNESS)?;
         let predicted = new_from_old * poses[last];
         let submap = neighbour(slam, last, place.submap, predicted)?;
-        let Some((found, _)) = searched(slam, last, submap, place.around, laser) else {
+        let Some(found) = searched(slam, last, submap, around, laser) else {
             continue;
         };
         let off = predicted.inverse() * slam.back_end.poses()[slam.submaps[submap].anchor] * found.pose;
@@ -245,7 +250,8 @@ pub(crate) fn seen_again(
     };
     let refined = submap.refine(&Refinable::seen_from(laser, scan), best.pose, None, &settings.refine);
     let is_far = refined.pose.distance(&expected) > closure.reach;
-    let min_score = best.score - if is_far { FAR_AMBIGUOUS } else { AMBIGUOUS };
+    let least_margin = if is_far { around.far_margin } else { AMBIGUOUS };
+    let min_score = best.score - least_margin;
     if found.found.len() == 1 && min_score < closure.min_score {
         // A second place about as good counts even if it scores too little for a closure.
         found = search(submap.pyramid(), &few, &Window { min_score, ..window });
@@ -253,8 +259,7 @@ pub(crate) fn seen_again(
             return Seen::Cut;
         }
     }
-    let margin = found.margin().unwrap_or_default();
-    if margin < AMBIGUOUS {
+    if found.margin().unwrap_or_default() < least_margin {
         return Seen::No;
     }
     let verdict = judge(&submap.field, laser, scan, refined.pose, &settings.verdict);
@@ -265,7 +270,7 @@ pub(crate) fn seen_again(
     };
     let fits = verdict.explained >= closure.explained
         && (verdict.through_walls <= closure.through_walls || !passes_what_stands(submap));
-    if fits { Seen::At(refined, margin) } else { Seen::No }
+    if fits { Seen::At(refined) } else { Seen::No }
 }
 
 impl Around {
@@ -275,6 +280,7 @@ impl Around {
             reach: limits.reach,
             turn: limits.turn,
             budget: limits.budget as usize,
+            far_margin: AMBIGUOUS,
         }
     }
 }
@@ -294,6 +300,7 @@ pub(crate) fn closure(anchor: usize, node: usize, refined: &Refined, settings: &
 #[cfg(test)]
 mod tests {
     use super::*;
+    use zenav_scan_matching::Search;
 
     /// What a robot sees of a room of 4 m by 3 m with its left wall at `x`, except for the first `gap` m of the upper wall. In the lower left
     /// corner stands a pillar.
@@ -314,6 +321,19 @@ mod tests {
             .collect()
     }
 
+    /// The two best places of at least a score.
+    fn two_best(submap: &mut Submap, scan: &[Point2<f64>], expected: Pose2, around: Around, min_score: f64) -> Search {
+        let window = Window {
+            min_score,
+            count: 2,
+            apart: APART.0,
+            apart_turn: APART.1,
+            budget: around.budget,
+            ..Window::around(expected, around.reach, around.turn)
+        };
+        search(submap.pyramid(), &thinned(scan, SEARCH_POINTS), &window)
+    }
+
     #[test]
     fn a_second_place_makes_a_closure_ambiguous_even_if_it_scores_too_little_for_one() {
         let scan = room(0.0, 0.0);
@@ -327,24 +347,15 @@ mod tests {
                 reach: 8.0,
                 turn: 0.1,
                 budget: 10_000_000,
+                far_margin: FAR_AMBIGUOUS,
             };
             let scans = Scans {
                 sessions: &[],
                 points: &[],
             };
             let laser = Point2::new(2.0, 1.5);
-            let best = search(
-                submap.pyramid(),
-                &thinned(&scan, SEARCH_POINTS),
-                &Window {
-                    count: 2,
-                    apart: APART.0,
-                    apart_turn: APART.1,
-                    budget: around.budget,
-                    ..Window::around(Pose2::IDENTITY, around.reach, around.turn)
-                },
-            );
             let expected = Pose2::IDENTITY;
+            let best = two_best(&mut submap, &scan, expected, around, 0.0);
             let seen = seen_again(&mut submap, scans, expected, around, laser, &scan, settings);
             (best.found, seen)
         };
@@ -359,5 +370,42 @@ mod tests {
         settings.closure.min_score = second.score + 0.5 * margin;
         assert!(matches!(seen(true, &settings).1, Seen::No));
         assert!(matches!(seen(false, &settings).1, Seen::At(..)), "without one");
+    }
+
+    #[test]
+    fn a_place_elsewhere_is_searched_for_only_as_deep_as_the_margin_requires() {
+        let (scan, laser, expected) = (room(0.0, 0.0), Point2::new(2.0, 1.5), Pose2::new(3.0, 0.0, 0.0));
+        let mut settings = SlamSettings::default();
+        // Far from where the scan is expected are its room, and one that lacks a metre of a wall.
+        let mut submap = Submap::new(0, &settings.field);
+        let walls: Vec<Point2<f64>> = scan.iter().copied().chain(room(6.0, 1.0)).collect();
+        submap.insert(Pose2::IDENTITY, &Refinable::new(&walls));
+        let ample = Around {
+            reach: 8.0,
+            turn: 0.1,
+            budget: 10_000_000,
+            far_margin: AMBIGUOUS,
+        };
+        let places = two_best(&mut submap, &scan, expected, ample, 0.0);
+        let (best, margin) = (places.found[0].score, places.margin().unwrap_or_default());
+        assert!((AMBIGUOUS..FAR_AMBIGUOUS).contains(&margin), "{places:?}");
+        settings.closure.min_score = best - 0.01;
+        // A budget that suffices for places within the smaller margin only.
+        let budget = two_best(&mut submap, &scan, expected, ample, best - AMBIGUOUS).scored;
+        let mut seen = |far_margin, budget| {
+            let around = Around {
+                far_margin,
+                budget,
+                ..ample
+            };
+            let scans = Scans {
+                sessions: &[],
+                points: &[],
+            };
+            seen_again(&mut submap, scans, expected, around, laser, &scan, &settings)
+        };
+        assert!(matches!(seen(AMBIGUOUS, budget), Seen::At(..)));
+        assert!(matches!(seen(FAR_AMBIGUOUS, budget), Seen::Cut));
+        assert!(matches!(seen(FAR_AMBIGUOUS, ample.budget), Seen::No));
     }
 }

@@ -281,6 +281,37 @@ fn along_a_corridor_odometry_leads_and_the_ends_of_what_is_seen_of_its_walls_do_
 }
 
 #[test]
+fn over_sixty_metres_of_a_bare_corridor_the_error_along_it_is_that_of_odometry_and_scans_say_so() {
+    // The ends are out of sight all the way; odometry overstates the way.
+    let walls = vec![(-5.0, -1.0), (65.0, -1.0), (65.0, 1.0), (-5.0, 1.0)];
+    let truth: Vec<Pose2> = (0..=600).map(|at| Pose2::new(0.1 * f64::from(at), 0.0, 0.0)).collect();
+    let mut scans = house::House::of(vec![walls]).log(&truth, 6);
+    let mut slam = Slam::new(SlamSettings::default());
+    let mut flagged = 0;
+    for (scan, at) in scans.iter_mut().zip(&truth) {
+        scan.odom_from_base = Pose2::new(1.01 * at.x + 0.01 * at.x.sin(), 0.0, 0.0);
+        scan.range_max = 3.5;
+        for range in scan.ranges.iter_mut().filter(|range| **range > 3.5) {
+            *range = f32::INFINITY;
+        }
+        flagged += usize::from(slam.step(scan).unwrap().degenerate.is_some());
+    }
+    slam.finish().unwrap();
+    let farthest = |along: &[f64]| {
+        let errors = along.iter().zip(&truth).map(|(along, truth)| (along - truth.x).abs());
+        errors.fold(0.0, f64::max)
+    };
+    let by_odometry: Vec<f64> = scans.iter().map(|scan| scan.odom_from_base.x).collect();
+    let by_slam: Vec<f64> = slam.trajectory().iter().map(|(_, pose)| pose.x).collect();
+    let (by_odometry, by_slam) = (farthest(&by_odometry), farthest(&by_slam));
+    assert!(
+        by_odometry > 0.5 && by_slam < 1.1 * by_odometry,
+        "{by_slam} m, odometry {by_odometry} m"
+    );
+    assert!(10 * flagged > 9 * scans.len(), "{flagged} of {}", scans.len());
+}
+
+#[test]
 fn a_sweep_is_straightened_by_odometry() {
     // A robot that turns by 0.2 rad while the beams of a sweep hit a wall 2 m ahead.
     let settings = ScanSettings {

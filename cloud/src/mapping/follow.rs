@@ -1,5 +1,7 @@
 //! Following. What does a copy of a robot's mapping service keep while another one leads, and when does it take over?
 //!
+//! A copy answers no ask of mapping: clients repeat their requests until the leader, or whoever takes over, answers.
+//!
 //! | file | subject |
 //! |---|---|
 //! | `followed` | what a copy knows of the leader, and of its map |

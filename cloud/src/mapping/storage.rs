@@ -103,10 +103,13 @@ pub(super) fn note_term(robot: &str, folder: Option<&Path>, term: u64) -> u64 {
     term.max(noted)
 }
 
-/// Notes the term in which a service leads with the map that is stored in a robot's folder.
+/// Notes the term in which a service leads with the map or the session that is stored in a robot's folder: as it begins with that, or
+/// once it has stored its own.
 pub(super) fn note_leadership(robot: &str, folder: Option<&Path>, term: u64) {
     note_term(robot, folder, term);
-    if let Some(folder) = folder {
+    if let Some(folder) = folder
+        && noted(robot, folder, LED) != term
+    {
         write(robot, folder, LED, term);
     }
 }

@@ -13,11 +13,10 @@ use zenav_protocol::messages::{
 use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
 use super::metrics::{self, MissionMetrics};
-use super::requests::Pending;
 use super::standbys::Standbys;
 use super::trace::MissionTrace;
 use super::workers::{Workers, carry};
-use super::{End, MissionError, Service, Turn, blocking};
+use super::{End, MissionError, Pending, Service, Turn, blocking};
 use zenav_mission::{Answer, Ask, Client, Effect, Inputs, Leadership, Membership, Mission, NoAnswer, Record, Ticket};
 
 /// Period of the steps.

@@ -7,7 +7,6 @@
 //! | `lead` | how is the leading mission stepped? |
 //! | `standbys`, `replication` | how is the leader's journal replicated before it acknowledges anything? |
 //! | `follow` | what does a standby do, and when may it lead? |
-//! | `requests` | where do clients' requests arrive? |
 //! | `workers` | which service answers the mission's own requests? |
 //! | `worker_pool` | which of several motion workers is asked, and when is a second one asked as well? |
 //! | `trace` | which scan does a plan come from? |
@@ -19,7 +18,6 @@ mod lead;
 mod metrics;
 mod no_room;
 mod replication;
-mod requests;
 mod standbys;
 #[cfg(test)]
 mod tests;
@@ -32,14 +30,18 @@ use std::sync::Arc;
 use thiserror::Error;
 use zenav_observability::Condition;
 use zenav_protocol::SCHEMA_VERSION;
-use zenav_protocol::bus::{AliveToken, Bus, BusError, Clock, Server, Shutdown};
+use zenav_protocol::bus::{AliveToken, Bus, BusError, Call, Clock, Server, Shutdown};
 use zenav_protocol::messages::{InfoReply, JournalEntry, JournalReply, Refusal};
 use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
 pub use workers::Workers;
 
-use requests::{Pending, Requests};
 use zenav_mission::{MissionConfig, MissionStore, StoreError};
+
+/// Requests of clients and other missions.
+type Requests = crate::requests::Requests<MissionRequest>;
+/// One of them, with the channel for its answer.
+type Pending = Call<MissionRequest>;
 
 /// Why a mission ended on its own.
 #[derive(Debug, Error)]

@@ -13,8 +13,7 @@ use zenav_protocol::bus::{AliveToken, Bus, BusError, Shutdown};
 use zenav_protocol::messages::{InfoReply, Refusal};
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
-use super::requests::{Pending, Requests};
-use super::{MissionError, Service, Turn, announce, blocking, identity, metrics};
+use super::{MissionError, Pending, Requests, Service, Turn, announce, blocking, identity, metrics};
 
 /// Interval between attempts to store something.
 const AGAIN: Duration = Duration::from_secs(1);

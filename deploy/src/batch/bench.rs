@@ -6,6 +6,7 @@ use zenav_sim::made_worlds;
 
 use super::show::{self, ShowArgs};
 use super::{sim_bench, thread_time};
+use crate::completion;
 use crate::connect::{self, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -38,10 +39,10 @@ enum SimCommand {
 #[derive(Debug, clap::Args)]
 struct SimBenchArgs {
     /// World: a file or shipped name [default: a floor with space for all robots, and obstacles]
-    #[arg(long, value_name = "W")]
+    #[arg(long, value_name = "W", add = completion::worlds())]
     world: Option<String>,
     /// Robot: a file or shipped name
-    #[arg(long, value_name = "R", default_value = "tiago")]
+    #[arg(long, value_name = "R", default_value = "tiago", add = completion::models())]
     robot: String,
     /// Robots in the world, as many as fit
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]

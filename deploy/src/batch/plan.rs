@@ -49,7 +49,7 @@ pub struct PlanArgs {
     #[arg(long, value_name = "DIR")]
     paths: Option<PathBuf>,
     /// Inflate the map for this robot: a file or shipped name
-    #[arg(long, value_name = "R")]
+    #[arg(long, value_name = "R", add = completion::models())]
     robot: Option<String>,
     /// File of keep-out and speed zones, m in the map's frame
     #[arg(long, value_name = "FILE")]

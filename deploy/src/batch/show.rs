@@ -11,6 +11,7 @@ use zenav_sim::movers::{MoverModel, Route};
 use zenav_sim::scatter::scatter;
 use zenav_sim::{RobotSpec, Simulation, World};
 
+use crate::completion;
 use crate::connect;
 use crate::drawing::canvas::{Canvas, Color};
 use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, outline};
@@ -35,13 +36,13 @@ const MOST_LINES: f64 = 100.0;
 #[derive(Debug, clap::Args)]
 pub(super) struct ShowArgs {
     /// World: a file, a ROS map (`.yaml`) or a shipped name
-    #[arg(value_name = "WORLD")]
+    #[arg(value_name = "WORLD", add = completion::worlds())]
     world: String,
     /// Picture to write [default: the world's name, `.png`]
     #[arg(long, visible_alias = "png", short = 'f', value_name = "FILE")]
     out: Option<PathBuf>,
     /// Robot: a file or shipped name
-    #[arg(long, value_name = "R", default_value = "tiago")]
+    #[arg(long, value_name = "R", default_value = "tiago", add = completion::models())]
     robot: String,
     /// Number of robots: the first at the world's start, the others at random free places
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]

@@ -42,7 +42,7 @@ pub struct SmoothArgs {
     #[arg(long, value_name = "Q")]
     queries: PathBuf,
     /// Robot: a file or shipped name
-    #[arg(long, value_name = "R")]
+    #[arg(long, value_name = "R", add = completion::models())]
     robot: String,
     /// Results; `-` prints them
     #[arg(long, value_name = "F", default_value = "-")]

@@ -40,8 +40,10 @@ const GROUPS: [(&str, &[&str]); 7] = [
     ),
 ];
 
-/// What is logged unless `RUST_LOG` says otherwise; logs go to stderr.
+/// What is logged unless `RUST_LOG` says otherwise, by default, with `--verbose` and with `--quiet`; logs go to stderr.
 const LOGGED: &str = "info,zenoh=off,zenoh_link=off,zenoh_transport=off";
+const LOGGED_VERBOSE: &str = "info,zenav=debug,zenoh=off,zenoh_link=off,zenoh_transport=off";
+const LOGGED_QUIET: &str = "warn,zenoh=off,zenoh_link=off,zenoh_transport=off";
 
 /// Footer of `--help`.
 const FOOTER: &str = "\
@@ -56,7 +58,7 @@ Exit codes:
   0 ok  1 failed  2 usage  3 not found  4 cannot connect  5 timeout  6 cancelled  7 rejected  130 interrupted
 
 Environment:
-  RUST_LOG              what is logged, such as info or zenav_cloud=debug
+  RUST_LOG              what is logged, such as info or zenav_cloud=debug; overrides -v and -q
   NO_COLOR              no colours
   ZENAV_IDENTITY        folder of this process's identity (`zenav keys`)
   ZENAV_LOG_FORMAT      log lines as text or json
@@ -86,8 +88,25 @@ struct Cli {
         hide_env_values = true
     )]
     log_format: logging::Format,
+    /// Log more: debug lines of every part
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
+    /// Log less: warnings and errors
+    #[arg(short, long, global = true)]
+    quiet: bool,
     #[command(subcommand)]
     command: Command,
+}
+
+impl Cli {
+    /// What is logged unless `RUST_LOG` says otherwise.
+    const fn logged(&self) -> &'static str {
+        match (self.verbose, self.quiet) {
+            (true, _) => LOGGED_VERBOSE,
+            (false, true) => LOGGED_QUIET,
+            (false, false) => LOGGED,
+        }
+    }
 }
 
 /// The commands in their groups, then the footer.
@@ -234,7 +253,7 @@ pub(crate) fn main() -> ExitCode {
     // clap itself exits: with 2 on wrong usage, with 0 on help.
     let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     // A second initialisation (tests in one process) changes nothing.
-    logging::init(cli.log_format, LOGGED, || output::LogWriter);
+    logging::init(cli.log_format, cli.logged(), || output::LogWriter);
     if hosts_parts(&cli.command) {
         zenav_protocol::bus::threads::ensure_enough();
     }
@@ -320,6 +339,8 @@ fn run(command: Command) -> Outcome {
 mod tests {
     use std::collections::BTreeSet;
 
+    use clap_complete::engine::{ArgValueCandidates, ArgValueCompleter};
+
     use super::*;
 
     #[test]
@@ -332,14 +353,11 @@ mod tests {
     }
 
     #[test]
-    fn the_help_of_every_command_has_an_example() {
+    fn the_help_of_every_command_has_two_examples() {
         for command in command().get_subcommands_mut() {
             let help = command.render_help().to_string();
-            assert!(
-                help.contains("\n  zenav ") || help.contains("$(zenav "),
-                "{}",
-                command.get_name()
-            );
+            let examples = help.matches("\n  zenav ").count() + help.matches("$(zenav ").count();
+            assert!(examples >= 2, "{}: {examples}", command.get_name());
         }
     }
 
@@ -372,6 +390,47 @@ mod tests {
             assert!(help.contains(part), "{part}: {help}");
         }
         assert!(help.lines().all(|line| line.chars().count() <= 120), "{help}");
+    }
+
+    #[test]
+    fn more_is_logged_or_less_but_not_both() {
+        let logged = |words: &[&str]| -> Result<&'static str, clap::Error> {
+            let matches = command().try_get_matches_from([&["zenav"], words].concat())?;
+            Ok(Cli::from_arg_matches(&matches)?.logged())
+        };
+        for (words, filter) in [
+            (&["up"][..], LOGGED),
+            (&["up", "-v"], LOGGED_VERBOSE),
+            (&["--quiet", "goal", "list"], LOGGED_QUIET),
+        ] {
+            assert_eq!(logged(words).expect("is accepted"), filter, "{words:?}");
+        }
+        assert!(logged(&["up", "-v", "-q"]).is_err());
+    }
+
+    #[test]
+    fn shipped_names_and_robots_are_completed_wherever_they_are_taken() {
+        fn check(command: &clap::Command) {
+            for arg in command.get_arguments() {
+                let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+                let named = [
+                    "or shipped name",
+                    "or name of a shipped",
+                    "a shipped name",
+                    "a shipped one",
+                    "Name of the robot",
+                ];
+                let completes = arg.get::<ArgValueCompleter>().is_some() || arg.get::<ArgValueCandidates>().is_some();
+                assert!(
+                    completes || !named.iter().any(|name| help.contains(name)),
+                    "{} {}: {help}",
+                    command.get_name(),
+                    arg.get_id()
+                );
+            }
+            command.get_subcommands().for_each(check);
+        }
+        check(&command());
     }
 
     #[test]

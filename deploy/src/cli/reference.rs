@@ -4,14 +4,15 @@
 use clap::{Arg, Command};
 
 /// Options of every command, described once.
-const EVERYWHERE: [&str; 3] = ["help", "version", "log_format"];
+const EVERYWHERE: [&str; 5] = ["help", "version", "log_format", "verbose", "quiet"];
 
 /// The page.
 pub(super) fn page(mut root: Command) -> String {
     root.build();
     let mut text = "# Commands\n\n\
         Every command, with its arguments and options; `zenav COMMAND --help` tells the same with examples. \
-        Names, options and defaults stay: scripts may rely on them. `--log-format text|json` goes with each.\n"
+        Names, options and defaults stay: scripts may rely on them. \
+        `--log-format text|json`, `-v` (`--verbose`) and `-q` (`--quiet`) go with each.\n"
         .to_owned();
     for command in visible(&root) {
         describe(command, "zenav", 2, &[], &mut text);

@@ -30,7 +30,7 @@ use indicatif::ProgressBar;
 use zenav_cloud::mapping::PoseSource;
 use zenav_mapping::write_map;
 use zenav_planning::Planner;
-use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, Security, interrupted};
+use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, Security, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
@@ -286,6 +286,8 @@ fn copy_map(from: &Path, to: &Path) -> Result<Vec<PathBuf>, Failure> {
 
 async fn scenario(args: &DemoArgs) -> Result<Played, Failure> {
     let began = Instant::now();
+    // From here on, so that the files of this run are removed whenever Ctrl-C comes.
+    let stop = Shutdown::on_interrupt();
     let mut script = args.scenario.script();
     // Goals and epochs belong to this run; only the map outlives it.
     let folder = args.folder();
@@ -323,12 +325,17 @@ async fn scenario(args: &DemoArgs) -> Result<Played, Failure> {
         // Started before the parts, so that their first messages are recorded.
         let recorder = Recorder::begin(args, &script, &endpoint, &state).await?;
         let played = if script.alone {
-            wall_follow::play(args, &script, &deployment, &world, &mut parts, &endpoint).await
+            wall_follow::play(args, &script, &deployment, &world, &mut parts, &endpoint, &stop).await
         } else {
-            play(args, &script, &deployment, &world, &mut parts, &endpoint).await
+            play(args, &script, &deployment, &world, &mut parts, &endpoint, &stop).await
         };
+        // Without the rendering of page and film.
+        let played = played.map(|report| DemoReport {
+            wall_time_s: began.elapsed().as_secs_f64(),
+            ..report
+        });
         parts.end().await;
-        let played = recorder.end(played).await;
+        let played = recorder.end(played, &stop).await;
         router.close().await;
         played
     }
@@ -342,7 +349,6 @@ async fn scenario(args: &DemoArgs) -> Result<Played, Failure> {
         Err(failure) => played.kept = played.kept.and(Err(failure)),
     }
     report.map_found = map_found;
-    report.wall_time_s = began.elapsed().as_secs_f64();
     Ok(played)
 }
 
@@ -353,6 +359,7 @@ async fn play(
     world: &World,
     parts: &mut Parts,
     endpoint: &str,
+    stop: &Shutdown,
 ) -> Result<DemoReport, Failure> {
     let robots = deployment.robot_ids()?;
     let (id, _) = robots
@@ -378,6 +385,7 @@ async fn play(
     let reply = tokio::select! {
         reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
+        () = stop.wait() => return Err(interrupted()),
     };
     if let Some(page) = &page {
         gateway::tell(page);
@@ -397,12 +405,12 @@ async fn play(
     let end = tokio::select! {
         end = watch.until_end(&reply.id, script.time_limit) => end,
         ended = parts.first_end() => { ended?; None }
-        () = interrupted() => {
+        () = stop.wait() => {
             drop(drawing);
             if let Some(bar) = &watch.bar {
                 bar.finish_and_clear();
             }
-            return Err(Failure::new(exit_code::INTERRUPTED, "interrupted"));
+            return Err(interrupted());
         }
     };
     drop(drawing);
@@ -424,6 +432,11 @@ async fn play(
         None => {}
     }
     Ok(report)
+}
+
+/// The failure of a demonstration that Ctrl-C has ended.
+fn interrupted() -> Failure {
+    Failure::new(exit_code::INTERRUPTED, "interrupted")
 }
 
 /// A live display, if wanted and possible.

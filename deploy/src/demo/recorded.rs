@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use zenav_protocol::bus::{Bus, BusConfig};
+use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
 
-use super::{DemoArgs, Script};
+use super::{DemoArgs, Script, interrupted};
 use crate::failure::Failure;
 use crate::record::{self, RecordOptions, Recording};
 use crate::report::DemoReport;
@@ -48,7 +48,7 @@ impl Recorder {
 
     /// Ends the recording, and adds page, film and record to the report. A missing page is only noted; a missing film or record that was
     /// asked for is a failure, beside the report.
-    pub(super) async fn end(self, played: Result<DemoReport, Failure>) -> Result<Played, Failure> {
+    pub(super) async fn end(self, played: Result<DemoReport, Failure>, stop: &Shutdown) -> Result<Played, Failure> {
         let recorded = self.recording.finish().await;
         self.bus.close().await;
         let mut report = played?;
@@ -62,7 +62,8 @@ impl Recorder {
                 }
                 let mut made = Made::default();
                 let mut files = written.files.iter();
-                let kept = files.try_for_each(|file| made.add(file, &self.page, self.film.as_deref(), self.is_kept));
+                let film = self.film.as_deref();
+                let kept = files.try_for_each(|file| made.add(file, &self.page, film, self.is_kept, stop));
                 report.files.append(&mut made.files);
                 report.notes.append(&mut made.notes);
                 kept
@@ -97,14 +98,26 @@ struct Made {
 
 impl Made {
     /// Makes the page and the film of a record. A missing page is only noted.
-    fn add(&mut self, record: &Path, page: &Path, film: Option<&Path>, is_kept: bool) -> Result<(), Failure> {
+    fn add(
+        &mut self,
+        record: &Path,
+        page: &Path,
+        film: Option<&Path>,
+        is_kept: bool,
+        stop: &Shutdown,
+    ) -> Result<(), Failure> {
         match record::write_report(record, page) {
             Ok(()) => self.files.push(page.to_owned()),
             Err(failure) => self.notes.push(no_page(&failure)),
         }
         self.files.extend(is_kept.then(|| record.to_owned()));
         if let Some(film) = film {
-            record::write_film(record, None, film)?;
+            tracing::info!("rendering {}", film.display());
+            let goes_on = || match stop.is_set() {
+                true => Err(interrupted()),
+                false => Ok(()),
+            };
+            record::write_film(record, None, film, goes_on)?;
             self.files.push(film.to_owned());
         }
         Ok(())
@@ -115,7 +128,7 @@ impl Made {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::{cli, lockstep};
+    use crate::{cli, exit_code, lockstep};
 
     #[test]
     fn film_and_record_do_not_need_the_page() {
@@ -128,15 +141,23 @@ mod tests {
         lockstep::run(&cli::parsed(&words).unwrap()).unwrap();
         let (page, film, nowhere) = (path("report.html"), path("last.png"), path("none/last.png"));
 
+        let stop = Shutdown::new();
         let mut without_page = Made::default();
         without_page
-            .add(&record, &path("none/report.html"), Some(&film), true)
+            .add(&record, &path("none/report.html"), Some(&film), true, &stop)
             .unwrap();
         assert_eq!(without_page.files, [record.clone(), film]);
         let notes = &without_page.notes;
         assert!(notes[0].starts_with("no report.html: "), "{notes:?}");
         let mut without_film = Made::default();
-        assert!(without_film.add(&record, &page, Some(&nowhere), true).is_err());
-        assert_eq!(without_film.files, [page, record]);
+        assert!(without_film.add(&record, &page, Some(&nowhere), true, &stop).is_err());
+        assert_eq!(without_film.files, [page.clone(), record.clone()]);
+
+        // Rendering takes long: Ctrl-C ends it.
+        stop.trigger();
+        let film = path("run.gif");
+        let ended = Made::default().add(&record, &page, Some(&film), true, &stop);
+        assert_eq!(ended.unwrap_err().code, exit_code::INTERRUPTED);
+        assert!(!film.exists());
     }
 }

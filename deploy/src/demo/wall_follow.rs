@@ -8,14 +8,14 @@ use std::time::{Duration, Instant};
 use nalgebra::Point2;
 use zenav_cloud::mapping::PoseSource;
 use zenav_edge::Referee;
-use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription, interrupted};
+use zenav_protocol::bus::{Bus, BusConfig, Latest, Shutdown, Subscription};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{EdgeState, Event, EventKind, Mode, WallFollowerState};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::World;
 
-use super::{DemoArgs, Script, live_display};
+use super::{DemoArgs, Script, interrupted, live_display};
 use crate::batch::backdrop;
 use crate::components::Parts;
 use crate::config::Deployment;
@@ -94,6 +94,7 @@ pub(super) async fn play(
     world: &World,
     parts: &mut Parts,
     endpoint: &str,
+    stop: &Shutdown,
 ) -> Result<DemoReport, Failure> {
     let robots = deployment.robot_ids()?;
     let (id, section) = robots
@@ -123,7 +124,7 @@ pub(super) async fn play(
     }
     tokio::select! {
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
-        () = interrupted() => return Err(Failure::new(exit_code::INTERRUPTED, "interrupted")),
+        () = stop.wait() => return Err(interrupted()),
         result = watch.until_end(args) => result?,
     }
     bus.close().await;

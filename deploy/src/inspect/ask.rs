@@ -452,6 +452,24 @@ mod tests {
     }
 
     #[test]
+    fn whatever_decodes_without_a_misspelt_field_is_sent() {
+        for (key, text) in [
+            ("zenav/r/ask/cloud/annotate", r#"{"action": {"clear_zones": null}}"#),
+            (
+                "zenav/r/ask/cloud/annotate",
+                r#"[{"remove_place": {"name": "sink"}}, null, null]"#,
+            ),
+            (
+                "zenav/r/ask/edge/behaviour",
+                r#"{"id": "b1", "action": {"cancel": null}}"#,
+            ),
+        ] {
+            let checked = check(topics::row_of(key).unwrap(), text);
+            assert!(checked.is_ok(), "{text}: {checked:?}");
+        }
+    }
+
+    #[test]
     fn keys_with_a_writer_of_their_own_are_reserved() {
         assert!(is_reserved("zenav/r/edge/mine") && is_reserved("zenav/sim/clock"));
         assert!(!is_reserved("zenav/r/operator/teleop") && !is_reserved("my/lamp"));

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde::Serialize;
+use serde_json::Value;
 use tokio::time::Instant;
 use zenav_protocol::bus::{Act, Bus, RawSample, RawSubscription};
 
@@ -36,6 +37,16 @@ pub(super) struct ListenArgs {
     /// Stop after this time, s
     #[arg(long = "for", value_name = "SECS", value_parser = positive)]
     secs: Option<f64>,
+}
+
+/// What to print.
+#[derive(Debug, clap::Args)]
+pub(super) struct EchoArgs {
+    #[command(flatten)]
+    pub(super) listen: ListenArgs,
+    /// Print only this field of each message, such as `velocity.v`
+    #[arg(long, value_name = "NAME")]
+    field: Option<String>,
 }
 
 impl ListenArgs {
@@ -149,11 +160,32 @@ struct Echoed {
     key: String,
     stamp_ns: Option<u64>,
     encoding: String,
-    payload: serde_json::Value,
+    payload: Value,
+}
+
+/// The part of a message that a path names: fields, and indices of lists, separated by dots.
+///
+/// # Errors
+/// The message has no such part; the fields that there are instead.
+fn part(message: &Value, path: &str) -> Result<Value, String> {
+    let mut at = message;
+    for name in path.split('.') {
+        let (found, known) = match at {
+            Value::Object(fields) => (fields.get(name), fields.keys().cloned().collect::<Vec<_>>().join(", ")),
+            Value::Array(values) => (
+                name.parse::<usize>().ok().and_then(|index| values.get(index)),
+                format!("a list of {}", values.len()),
+            ),
+            other => (None, format!("`{other}`")),
+        };
+        at = found.ok_or_else(|| format!("no field `{name}` in `{path}`: there is {known}"))?;
+    }
+    Ok(at.clone())
 }
 
 /// Prints messages, starting with the retained ones.
-pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format) -> Outcome {
+pub(super) async fn echo(bus: &Bus, pattern: &str, args: &EchoArgs, format: Format) -> Outcome {
+    let EchoArgs { listen: args, field } = args;
     bus.check(Act::Hear, pattern)?;
     let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
     let until = args.until(Instant::now());
@@ -166,13 +198,25 @@ pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Fo
             Err(ending) => return ending.outcome(messages, pattern),
         };
         messages += 1;
+        let part = match field {
+            Some(path) => Some(
+                part(&payload::value(&sample), path)
+                    .map_err(|why| Failure::not_found(format!("{}: {why}", sample.key)))?,
+            ),
+            None => None,
+        };
         match format {
-            // For one key only the message, for pipes; with wildcards, each with its key.
-            Format::Table if !wild => output::line(&payload::text(&sample)),
-            Format::Table => output::line(&format!("{} {}", sample.key, payload::text(&sample))),
+            Format::Table => {
+                let text = part.map_or_else(|| payload::text(&sample), |part| part.to_string());
+                // For one key only the message, for pipes; with wildcards, each with its key.
+                match wild {
+                    true => output::line(&format!("{} {text}", sample.key)),
+                    false => output::line(&text),
+                }
+            }
             Format::Json | Format::Ndjson => {
                 let echoed = Echoed {
-                    payload: payload::value(&sample),
+                    payload: part.unwrap_or_else(|| payload::value(&sample)),
                     stamp_ns: sample.stamp.map(|stamp| stamp.0),
                     key: sample.key,
                     encoding: sample.encoding,
@@ -313,6 +357,19 @@ pub(super) fn bw_line(row: &Measured) -> String {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_part_of_a_message_is_named_by_its_path_and_one_that_is_missing_is_answered_with_those_that_there_are() {
+        let message = serde_json::json!({ "velocity": { "v": 0.25, "w": 0.0 }, "plan": null, "beams": [1, 2] });
+        let named = |path: &str| part(&message, path).map(|part| part.to_string());
+        assert_eq!(named("velocity.v").as_deref(), Ok("0.25"));
+        assert_eq!(named("beams.1").as_deref(), Ok("2"));
+        assert_eq!(named("plan").as_deref(), Ok("null"));
+        let unknown = |path: &str| named(path).unwrap_err();
+        assert_eq!(unknown("velocity.x"), "no field `x` in `velocity.x`: there is v, w");
+        assert_eq!(unknown("beams.2"), "no field `2` in `beams.2`: there is a list of 2");
+        assert_eq!(unknown("plan.id"), "no field `id` in `plan.id`: there is `null`");
+    }
 
     #[test]
     fn a_rate_is_of_the_last_seconds_and_silence_is_told() {

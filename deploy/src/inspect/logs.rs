@@ -13,6 +13,7 @@ use zenav_protocol::messages::{LogLine, LogReply, LogRequest};
 use zenav_protocol::topics;
 
 use super::parts::check_admitted;
+use crate::completion;
 use crate::connect::{self, LinkArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -32,7 +33,7 @@ pub struct LogsArgs {
     #[command(flatten)]
     link: LinkArgs,
     /// Only lines about this robot
-    #[arg(long)]
+    #[arg(long, add = completion::robots())]
     robot: Option<String>,
     /// Lowest level to show
     #[arg(long, value_enum, default_value_t)]

@@ -8,7 +8,7 @@ use zenav_protocol::bus::Bus;
 use zenav_protocol::topics::{self, Qos, Row, TABLE};
 
 use super::ask::{PubArgs, no_leading_slash, publish, whole};
-use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure};
+use super::listen::{EchoArgs, ListenArgs, bw_line, echo, hz_line, listen, measure};
 use super::meter::{Reading, bytes};
 use crate::completion;
 use crate::connect::{self, RobotArgs, positive, seconds};
@@ -19,7 +19,7 @@ use crate::output::{self, Format};
 /// Topics.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  zenav topic list\n  zenav topic echo edge/pose --count 1\n  zenav topic hz edge/scan --for 5\n  zenav topic info goal\n  zenav topic list --table       all keys with their messages"
+    after_help = "Examples:\n  zenav topic list\n  zenav topic echo edge/pose --count 1\n  zenav topic echo edge/state --field velocity.v\n  zenav topic hz edge/scan --for 5\n  zenav topic info goal\n  zenav topic list --table       all keys with their messages"
 )]
 pub struct TopicArgs {
     /// Connection and robot.
@@ -44,7 +44,7 @@ enum TopicCommand {
         table: bool,
     },
     /// Print a topic's messages
-    Echo(ListenArgs),
+    Echo(EchoArgs),
     /// Measure the rate of a topic's messages over the last 5 s, every second
     Hz(ListenArgs),
     /// Measure the size and bandwidth of a topic's messages over the last 5 s, every second
@@ -85,7 +85,7 @@ pub fn topic(args: &TopicArgs) -> Outcome {
                     .collect();
                 output::values(args.output, &rows, live_table)
             }
-            TopicCommand::Echo(listen) => echo(&bus, &pattern(&listen.key, robot)?, listen, args.output).await,
+            TopicCommand::Echo(echoed) => echo(&bus, &pattern(&echoed.listen.key, robot)?, echoed, args.output).await,
             TopicCommand::Hz(listen) => {
                 measure(&bus, &pattern(&listen.key, robot)?, listen, args.output, hz_line).await
             }

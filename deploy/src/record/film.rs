@@ -59,19 +59,28 @@ pub struct FilmArgs {
 /// A bad record, one without the robot, or a film that cannot be written.
 pub fn film(args: &FilmArgs) -> Outcome {
     let out = args.out.clone().unwrap_or_else(|| args.record.with_extension("gif"));
-    write_film(&args.record, args.robot.as_deref(), &out)?;
+    write_film(&args.record, args.robot.as_deref(), &out, || Ok(()))?;
     output::line(&format!("wrote {}", out.display()));
     Ok(exit_code::OK)
 }
 
-/// Writes the film of one of a record's robots; the only one without a name.
+/// Writes the film of one of a record's robots; the only one without a name. `goes_on` is asked before each picture, and its failure ends the
+/// work.
 ///
 /// # Errors
-/// A bad record, or a file that cannot be written.
-pub fn write_film(record: &Path, robot: Option<&str>, out: &Path) -> Result<(), Failure> {
+/// A bad record, a file that cannot be written, or the failure of `goes_on`.
+pub fn write_film(
+    record: &Path,
+    robot: Option<&str>,
+    out: &Path,
+    goes_on: impl Fn() -> Result<(), Failure>,
+) -> Result<(), Failure> {
     let moving = || {
         let film = Film::of(record, robot, PICTURES)?;
-        encode(film.moments.len(), SHOWN, |nth| film.picture(nth))
+        encode(film.moments.len(), SHOWN, |nth| {
+            goes_on()?;
+            film.picture(nth)
+        })
     };
     match files::ending(out).as_str() {
         "gif" => files::write(out, moving()?),

@@ -112,8 +112,9 @@ pub fn replay(args: &ReplayArgs) -> Outcome {
     let contents = Contents::of(&args.file, &selection)?;
     if contents.keys.is_empty() {
         return Err(Failure::not_found(format!(
-            "{}: nothing of that in the record",
-            args.file.display()
+            "{}: nothing of that in the record, which lasts {:.1} s",
+            args.file.display(),
+            contents.secs
         )));
     }
     let replayed = connect::on_bus(&args.link, async |bus| {
@@ -180,15 +181,18 @@ impl Selection {
 /// Contents of the replay, known before the first sample is published.
 struct Contents {
     first: u64,
+    /// Time from the first sample to the last, s.
+    secs: f64,
     keys: BTreeSet<String>,
 }
 
 impl Contents {
     fn of(path: &Path, selection: &Selection) -> Result<Self, RecordError> {
         let mut reader = RecordReader::open(path)?;
-        let (mut first, mut keys, mut held) = (None, BTreeSet::new(), BTreeSet::new());
+        let (mut first, mut last, mut keys, mut held) = (None, 0.0_f64, BTreeSet::new(), BTreeSet::new());
         while let Some(sample) = reader.next_sample()? {
             let secs = since(*first.get_or_insert(sample.logged), sample.logged);
+            last = last.max(secs);
             if selection.has(&sample, secs) {
                 keys.insert(sample.key);
             } else if secs < selection.from && selection.has_state(&sample) {
@@ -201,6 +205,7 @@ impl Contents {
         }
         Ok(Self {
             first: first.unwrap_or_default(),
+            secs: last,
             keys,
         })
     }

@@ -18,6 +18,7 @@ use super::evolution::Evolution;
 use super::lockstep;
 use super::rooms::room;
 use crate::batch::progress;
+use crate::completion;
 use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -58,7 +59,7 @@ enum TuneCommand {
 #[derive(Debug, Args)]
 struct WallFollowArgs {
     /// Robot to tune: a robot file or shipped name
-    #[arg(long, default_value = "neato")]
+    #[arg(long, default_value = "neato", add = completion::models())]
     robot: String,
     /// Number of rooms to search in, and of other rooms to judge in
     #[arg(long, default_value_t = 8, value_parser = connect::whole_in(1..=1000_u32))]

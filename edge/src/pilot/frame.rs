@@ -74,11 +74,16 @@ impl Pilot {
         // Of a burst only those of the newest frame that can be reached count.
         corrections.sort_by_key(|correction| correction.frame);
         for correction in &corrections {
-            let before = self.frame.number;
+            let before = self.frame.number();
             let Some(moved) = self.frame.advance(correction) else {
                 continue;
             };
-            if self.frame.number == before || moved == Pose2::IDENTITY {
+            if self.frame.number() == before {
+                continue;
+            }
+            // Other robots know its course in the former frame only.
+            self.telemetry.hasten_intent();
+            if moved == Pose2::IDENTITY {
                 continue;
             }
             self.estimator.moved(moved);

@@ -81,7 +81,6 @@ impl Pilot {
             stamp: now,
             map_from_base: pose,
             velocity,
-            frame: self.frame.number(),
             step: STEP,
             places,
             later,

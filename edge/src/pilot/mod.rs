@@ -255,11 +255,10 @@ impl Pilot {
         }
         let corrections = self.in_present_frame(inbox.corrections);
         let here = self.estimator.map_from_base().position();
-        let moved_since = |frame| self.frame.moved_since(frame);
-        self.other_robots.receive(now, here, inbox.intents, moved_since);
+        self.other_robots.receive(now, here, inbox.intents);
         let odom_from_map = self.estimator.map_from_odom().inverse();
-        let robots = self.other_robots.tracks(now, &self.intent, odom_from_map, moved_since);
-        self.obstacles.set_robots(robots);
+        self.obstacles
+            .set_robots(self.other_robots.tracks(now, &self.intent, odom_from_map));
         self.sense(now, readings, &corrections, &mut out.publications);
         self.receive_health(now, inbox.localisations, &corrections);
         for (ticket, request) in inbox.requests {

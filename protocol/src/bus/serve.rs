@@ -251,6 +251,19 @@ impl<Q, R: Serialize> Request<Q, R> {
 }
 
 impl<Q, R> Request<Q, R> {
+    /// The body, and the request without it.
+    pub(super) fn split(self) -> (Q, Request<(), R>) {
+        let rest = Request {
+            body: (),
+            chunks: self.chunks,
+            parameters: self.parameters,
+            key: self.key,
+            query: self.query,
+            encode: self.encode,
+        };
+        (self.body, rest)
+    }
+
     /// Replies with bytes of any encoding, such as `image/png`.
     pub fn reply_bytes(self, bytes: Vec<u8>, mime: &str) {
         reply_with(&self.query, &self.key, bytes, mime);

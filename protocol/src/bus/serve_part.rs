@@ -1,6 +1,7 @@
 //! Component servers. How do all asks of one component reach its core, and how do the replies return? From the component's rows of the key
 //! table: each ask has its own server and bounded queue, so that a flood of one ask never delays another (a stop).
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::pin::Pin;
 
@@ -21,12 +22,28 @@ pub struct Call<P: PartAsks> {
 }
 
 /// Sends the reply to the client. If it is dropped without a reply, the client repeats its request until its deadline.
-pub struct Responder<P: PartAsks>(Box<dyn FnOnce(Result<P::Reply, Refusal>) + Send + Sync>);
+pub struct Responder<P: PartAsks> {
+    /// Parameters of the selector: `format` is `png` in `map?format=png`.
+    pub parameters: BTreeMap<String, String>,
+    respond: Box<dyn FnOnce(Result<Body<P>, Refusal>) + Send + Sync>,
+}
+
+/// What a reply carries.
+enum Body<P: PartAsks> {
+    Message(P::Reply),
+    /// With their media type.
+    Bytes(Vec<u8>, &'static str),
+}
 
 impl<P: PartAsks> Responder<P> {
     /// Sends the reply or the refusal; there is only one.
     pub fn send(self, reply: Result<P::Reply, Refusal>) {
-        (self.0)(reply);
+        (self.respond)(reply.map(Body::<P>::Message));
+    }
+
+    /// Sends bytes of any encoding, such as `image/png`, as the reply.
+    pub fn send_bytes(self, bytes: Vec<u8>, mime: &'static str) {
+        (self.respond)(Ok(Body::Bytes(bytes, mime)));
     }
 }
 
@@ -85,7 +102,7 @@ impl<P: PartAsks> AskVisitor<P> for Declaring<'_, P> {
         reply: fn(P::Reply) -> Option<R>,
     ) -> Result<(), BusError>
     where
-        Q: DeserializeOwned + Clone + Send + Sync + 'static,
+        Q: DeserializeOwned + Send + Sync + 'static,
         R: Serialize + Send + Sync + 'static,
     {
         let server = self.bus.serve(&ask, self.chunks)?;
@@ -111,23 +128,29 @@ struct Serving<P: PartAsks, Q, R> {
 impl<P, Q, R> Serves<P> for Serving<P, Q, R>
 where
     P: PartAsks,
-    Q: DeserializeOwned + Clone + Send + Sync + 'static,
+    Q: DeserializeOwned + Send + Sync + 'static,
     R: Serialize + Send + Sync + 'static,
 {
     fn next(&mut self) -> Next<'_, P> {
         Box::pin(async {
-            let asked = self.server.next().await?;
-            let (request, reply) = ((self.request)(asked.body.clone()), self.reply);
-            let respond = move |answer: Result<P::Reply, Refusal>| match answer.map(reply) {
-                Ok(Some(reply)) => asked.reply(&reply),
-                Ok(None) => asked.refuse(&Refusal::Internal {
-                    reason: "the reply is one to another ask".to_owned(),
-                }),
+            let (body, asked) = self.server.next().await?.split();
+            let (parameters, reply) = (asked.parameters.clone(), self.reply);
+            let respond = move |answer: Result<Body<P>, Refusal>| match answer {
+                Ok(Body::Message(message)) => match reply(message) {
+                    Some(reply) => asked.reply(&reply),
+                    None => asked.refuse(&Refusal::Internal {
+                        reason: "the reply is one to another ask".to_owned(),
+                    }),
+                },
+                Ok(Body::Bytes(bytes, mime)) => asked.reply_bytes(bytes, mime),
                 Err(refusal) => asked.refuse(&refusal),
             };
             Some(Call {
-                request,
-                responder: Responder(Box::new(respond)),
+                request: (self.request)(body),
+                responder: Responder {
+                    parameters,
+                    respond: Box::new(respond),
+                },
             })
         })
     }

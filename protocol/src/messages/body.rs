@@ -31,7 +31,6 @@ pub struct AttachRequest {
     /// The robot's id.
     pub robot: String,
     /// Footprint, limits and sensors of the simulated body.
-    #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
     /// Start pose, map frame; without it, the world's own start. A robot that is already in the world stays where it is.
     pub start: Option<Pose2>,

@@ -5,12 +5,11 @@ use std::cmp::Ordering;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::is_first;
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
 /// Present and future positions of a robot. Published a few times a second until the robot has been stationary without a goal for a while;
-/// other robots then treat it as a plain obstacle. All robots that receive each other's intents share one map.
+/// other robots then treat it as a plain obstacle. All robots that receive each other's intents share one map frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Intent {
@@ -24,9 +23,6 @@ pub struct Intent {
     pub map_from_base: Pose2,
     /// Velocity in the base frame.
     pub velocity: Twist2,
-    /// Number of the map frame that the pose and the positions are in.
-    #[serde(default, skip_serializing_if = "is_first")]
-    pub frame: u64,
     /// Time between two of the `places`, s.
     pub step: f64,
     /// Predicted positions, `step` apart, beginning at the stamp; the robot stays at the last one. Map frame, m.

@@ -94,7 +94,6 @@ pub struct InfoReply {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_stored: Option<String>,
     /// From an edge: the robot's footprint, limits and sensors.
-    #[cfg_attr(feature = "schema", schemars(with = "Option<serde_json::Value>"))]
     pub model: Option<RobotModel>,
     /// From an edge: timing of its control loop.
     #[serde(default, skip_serializing_if = "Option::is_none")]

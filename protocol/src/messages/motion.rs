@@ -130,7 +130,6 @@ pub struct PlanRequest {
     /// Robot on whose map to plan.
     pub robot: String,
     /// Footprint and limits.
-    #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
     /// Least revision of the map; a worker with an older one first requests the whole map.
     pub map: MapRef,
@@ -265,7 +264,6 @@ pub struct SmoothRequest {
     /// Robot on whose map to smooth.
     pub robot: String,
     /// Footprint and limits.
-    #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
     /// The map that the path was found on.
     pub map: MapRef,

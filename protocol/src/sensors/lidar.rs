@@ -366,6 +366,13 @@ pub(crate) mod none_one_or_many {
         deserializer.deserialize_any(Sweeps)
     }
 
+    #[cfg(feature = "schema")]
+    pub fn schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        let one = generator.subschema_for::<Sweep>();
+        let many = generator.subschema_for::<Vec<Sweep>>();
+        schemars::json_schema!({ "anyOf": [{ "type": "null" }, one, many] })
+    }
+
     /// Deserialises straight into the sweeps, so that no range is held twice.
     struct Sweeps;
 

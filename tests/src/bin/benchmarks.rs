@@ -37,6 +37,10 @@ const RUNS: &[Run] = runs! {
     "online": "A house that nobody has mapped, 20 seeds", "acceptance online 20 --speed 6";
     "guard": "The collision monitor in random worlds with movers and adversarial commands", "acceptance guard 10000";
     "pose": "Consistency of the pose estimate", "acceptance pose 100 1000001";
+    "localise": "Localisation from random places without a guess", "acceptance localise 1000 --seed 1001";
+    "kidnapped": "Robots that are carried away while they drive in a known map", "acceptance kidnapped 260 1001";
+    "kidnapped_slam": "Robots that are carried away while they map", "acceptance kidnapped 60 1001 --slam";
+    "closure": "A loop closure that moves the map by a metre under a driving robot", "acceptance closure 20 11";
     "track": "Path error of the trackers", "acceptance track";
     "economy": "Energy of the fastest and the most economical drives", "acceptance economy";
     "kills": "A mission killed at random instants", "acceptance kills 200";
@@ -49,6 +53,7 @@ const RUNS: &[Run] = runs! {
     "drive_s5": "Driving in tight places", "zenav bench drive --suite s5";
     "drive_s6": "Driving among clutter, in traps and an office", "zenav bench drive --suite s6";
     "drive_s7": "Waiting for what may leave", "zenav bench drive --suite s7";
+    "drive_s8": "Office and hall without GPS and compass", "zenav bench drive --suite s8 --first-seed 140";
     "drive_s9": "Driving with broken sensors", "zenav bench drive --suite s9";
     "drive_s11": "Robots among robots, one seed", "zenav bench drive --suite s11 --seeds 1";
     "drive_s12": "Processor time on long ways", "zenav bench drive --suite s12";

@@ -168,6 +168,11 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
         SOON,
         "document.querySelector('[data-id=link]').innerText.includes('cloud lost')",
     );
+    site.browser.until(
+        "the map is told to be old",
+        SOON,
+        "document.querySelector('[data-id=map]')?.innerText.startsWith('map of ')",
+    );
     site.shoot("cloud_lost");
     site.browser.click("#stop");
     site.browser.until(
@@ -181,7 +186,7 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
     site.browser.until(
         "the page says that the gateway is gone",
         SOON,
-        "document.getElementById('banner').innerText.includes('Gateway lost')",
+        "/Gateway lost.* Last state: \\d+ s ago/.test(document.getElementById('banner').innerText)",
     );
     let label = site.browser.script("return document.getElementById('stop').innerText");
     assert_eq!(label, "STOP", "what is old says nothing about now");

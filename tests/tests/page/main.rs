@@ -6,6 +6,7 @@
 //! | `control` | see, send, stop and hand-drive the robot; the page reports lost parts |
 //! | `drawing` | places, zones, the pose and the order of the queue |
 //! | `hands` | fingers, keys, screens; a stop while the link is lost |
+//! | `panels` | layers, tree, events and plots; Escape during a drag, a page that is lost while it drives, and a gateway's token |
 //! | `accessible` | the page is accessible |
 //! | `fleet` | twenty robots at 10 Hz; a thousand browsers that do not read |
 
@@ -16,4 +17,5 @@ mod control;
 mod drawing;
 mod fleet;
 mod hands;
+mod panels;
 mod site;

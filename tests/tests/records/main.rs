@@ -164,6 +164,13 @@ async fn a_drive_is_recorded_read_replayed_computed_again_and_told() {
     assert_eq!(code, 7, "{why}");
     assert!(why.contains(ROBOT) && why.contains("--to-live-robot"), "{why}");
 
+    // Beyond its end there is nothing to publish.
+    let (code, _, why) = drive.zenav(&["replay", ENDED, "--connect", &router, "--from", "9999"]);
+    assert!(
+        code == 3 && why.contains("nothing of that in the record, which lasts "),
+        "{code} {why}"
+    );
+
     // The recorded scans give the recorded map, and the recorded requests give the recorded trajectories.
     let (code, told, why) = drive.zenav(&["replay", ENDED, "--recompute", "mapping,motion", "-o", "json"]);
     let told: Value = serde_json::from_str(&told).unwrap_or_else(|error| panic!("{error}: {told} {why}"));

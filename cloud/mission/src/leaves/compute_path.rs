@@ -144,7 +144,7 @@ impl Leaf<Context> for ComputePath {
                     backwards: path.backwards,
                     length,
                     via,
-                    frame: Some(ctx.frames.at()).filter(|frame| *frame > 0),
+                    frame: Some(ctx.frames.at()),
                     place: io.get("goal").ok().filter(|name| ctx.config.places.contains_key(name)),
                 };
                 let written = data

@@ -8,6 +8,8 @@ use zenav_protocol::trajectory::TrajectoryPoint;
 
 /// Mean speed above which a leg of a trajectory has a direction, m/s; below it, it is a turn on the spot.
 const MOVES: f64 = 1e-3;
+/// Stretches of a path whose distances from the robot differ by less than this are equally near, m: about as well as it is localised.
+const AS_NEAR: f64 = 0.05;
 
 /// A path, and which of its legs are driven backwards.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -79,6 +81,46 @@ impl DrivenPath {
             part.push(point, self.is_backwards(leg));
         }
         part
+    }
+
+    /// The point nearest to `place` between `from` and `to` m, as [`nearest`].
+    ///
+    /// A path with reverse legs leads back over itself. Of stretches that are equally near, the first one counts that is not driven yet: none
+    /// within the first `driven` m, and none whose end is reached if a later one is nearer.
+    #[must_use]
+    pub(crate) fn nearest(&self, place: Point2<f64>, from: f64, to: f64, driven: f64) -> Option<Nearest> {
+        let anywhere = nearest(&self.points, place, from, to)?;
+        if self.backwards.is_empty() {
+            return Some(anywhere);
+        }
+        let begin = from.max(driven);
+        let is_left = |(first, last): &(f64, f64)| *last > begin && *first <= to;
+        let near: Vec<(Nearest, bool)> = self
+            .stretches()
+            .into_iter()
+            .filter(is_left)
+            .filter_map(|(first, last)| {
+                let near = nearest(&self.points, place, first.max(begin), last.min(to))?;
+                let is_at_end = last - near.along <= AS_NEAR.min(0.5 * (last - first));
+                Some((near, is_at_end))
+            })
+            .filter(|(near, _)| near.distance <= anywhere.distance + AS_NEAR)
+            .collect();
+        let first = near.iter().find(|(_, is_at_end)| !is_at_end);
+        let closest = near.iter().min_by(|(a, _), (b, _)| a.distance.total_cmp(&b.distance));
+        let chosen = [first, closest].into_iter().flatten().map(|(near, _)| *near);
+        chosen.min_by(|a, b| a.along.total_cmp(&b.along)).or(Some(anywhere))
+    }
+
+    /// Its stretches between two changes of direction: begin and end of each, m. The last one has no end.
+    fn stretches(&self) -> Vec<(f64, f64)> {
+        let changes = segments(&self.points)
+            .enumerate()
+            .filter(|(leg, _)| *leg > 0 && self.is_backwards(*leg) != self.is_backwards(leg - 1))
+            .map(|(_, (begin, ..))| begin);
+        let begins: Vec<f64> = std::iter::once(0.0).chain(changes).collect();
+        let ends = begins.iter().skip(1).copied().chain([f64::INFINITY]);
+        begins.iter().copied().zip(ends).collect()
     }
 
     fn is_backwards(&self, leg: usize) -> bool {
@@ -338,6 +380,37 @@ mod tests {
         assert_eq!(legs(1.0, 4.0), (1, vec![]), "up to it");
         assert_eq!(legs(6.0, 9.0), (1, vec![]), "after it");
         assert_eq!(legs(5.0, 5.0), (0, vec![]));
+    }
+
+    #[test]
+    fn of_two_legs_that_are_equally_near_the_first_one_counts_that_is_not_driven_yet() {
+        let path = |corners: &[(f64, f64)], backwards: &[usize]| DrivenPath {
+            points: corners.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
+            backwards: backwards.to_vec(),
+        };
+        let along = |path: &DrivenPath, x: f64, y: f64, driven: f64| {
+            let near = path.nearest(Point2::new(x, y), 0.0, f64::INFINITY, driven).unwrap();
+            (near.along * 1e3).round() / 1e3
+        };
+        // One metre back, then ahead over the same ground.
+        let back = path(&[(0.0, 0.0), (-1.0, 0.0), (12.0, 0.0)], &[0]);
+        for (x, expected) in [(0.001, 0.0), (0.04, 0.0), (0.2, 2.2), (-0.4, 0.4)] {
+            assert_eq!(along(&back, x, 0.0, 0.0), expected, "at {x}");
+        }
+        for (x, driven, expected) in [(-0.9, 1.03, 1.1), (-0.91, 1.1, 1.1), (0.001, 1.9, 2.001)] {
+            assert_eq!(along(&back, x, 0.0, driven), expected, "at {x}, after {driven} m");
+        }
+        assert_eq!(along(&back, -0.4, 0.0, 9.0), 0.4, "it was moved");
+        // A leg of two centimetres counts, too.
+        let short = path(&[(0.0, 0.0), (-0.02, 0.0), (12.0, 0.0)], &[0]);
+        assert_eq!(along(&short, 0.001, 0.0, 0.0), 0.0);
+        // Near the corner between two legs, the robot neither returns to it nor skips what is left before it.
+        let aside = path(&[(0.0, 0.0), (4.0, 0.0), (4.0, -3.0)], &[1]);
+        assert_eq!(along(&aside, 3.98, 0.0, 0.0), 3.98);
+        assert_eq!(along(&aside, 4.0, -0.02, 0.0), 4.02);
+        // Without reverse legs, the nearest point of all.
+        let forwards = path(&[(0.0, 0.0), (-1.0, 0.0), (12.0, 0.0)], &[]);
+        assert_eq!(along(&forwards, 0.001, 0.0, 0.0), 2.001);
     }
 
     proptest! {

@@ -1,7 +1,6 @@
 //! ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, IsWithinPathTrackingBounds: queries
 //! about a path, and operations on it.
 
-use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::GoalPoint;
@@ -23,7 +22,7 @@ const MOST: usize = 20_000;
 const TOLD: usize = 100;
 
 /// Position of the robot on a path. With a bound, the search continues from the last position found, so that it does not jump where a path
-/// passes near itself.
+/// passes near itself. Without one, that position only tells apart the stretches between changes of direction.
 #[derive(Default)]
 struct Pursuit {
     sequence: Option<u64>,
@@ -31,20 +30,17 @@ struct Pursuit {
 }
 
 impl Pursuit {
-    fn find(&mut self, sequence: u64, points: &[Point2<f64>], here: Pose2, reach: f64) -> Option<Nearest> {
+    fn find(&mut self, sequence: u64, path: &DrivenPath, here: Pose2, reach: f64) -> Option<Nearest> {
         // Also after a restart the previous position is unknown.
-        let begin = match self.sequence.replace(sequence) {
-            Some(known) if known == sequence => self.along,
-            Some(_) => 0.0,
-            None => return self.keep(path::nearest(points, here.position(), 0.0, f64::INFINITY)),
+        let known = self.sequence.replace(sequence);
+        let driven = if known == Some(sequence) { self.along } else { 0.0 };
+        let is_bounded = known.is_some() && reach.is_finite() && reach > 0.0;
+        let (from, to) = if is_bounded {
+            (driven, driven + reach)
+        } else {
+            (0.0, f64::INFINITY)
         };
-        if !(reach.is_finite() && reach > 0.0) {
-            return self.keep(path::nearest(points, here.position(), 0.0, f64::INFINITY));
-        }
-        self.keep(path::nearest(points, here.position(), begin, begin + reach))
-    }
-
-    fn keep(&mut self, found: Option<Nearest>) -> Option<Nearest> {
+        let found = path.nearest(here.position(), from, to, driven);
         self.along = found.map_or(0.0, |near| near.along);
         found
     }
@@ -61,7 +57,7 @@ impl SyncLeaf for IsGoalNearby {
             number(io, "proximity_threshold", 1.0)?,
             number(io, "max_robot_pose_search_dist", -1.0)?,
         );
-        let found = self.0.find(io.sequence("path"), &data.points, here(ctx)?, reach);
+        let found = self.0.find(io.sequence("path"), &data.driven(), here(ctx)?, reach);
         Ok(match found {
             Some(near) if path::length(&data.points) - near.along < threshold => Status::Success,
             _ => Status::Failure,
@@ -88,14 +84,15 @@ impl SyncLeaf for TruncatePathLocal {
             true => pose_of(&goal_on(io, ctx, "pose")?),
             false => here(ctx)?,
         };
+        let driven = data.driven();
         let near = self
             .0
-            .find(io.sequence("input_path"), &data.points, here, reach)
+            .find(io.sequence("input_path"), &driven, here, reach)
             .ok_or("the robot is far from the path")?;
         let whole = path::length(&data.points);
         let from = if backward < 0.0 { 0.0 } else { near.along - backward };
         let to = if forward < 0.0 { whole } else { near.along + forward };
-        let part = data.driven().part(from, to);
+        let part = driven.part(from, to);
         // A path to the same goal is still the same route.
         let cut = if to >= whole {
             RouteData {
@@ -134,12 +131,12 @@ impl SyncLeaf for TruncatePath {
     }
 }
 
-/// The robot's pose at a corner of `path`; a negative `index` counts from the end.
+/// The robot's pose at a corner of `path`, in the present frame of the map; a negative `index` counts from the end.
 pub struct GetPoseFromPath;
 
 impl SyncLeaf for GetPoseFromPath {
-    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
-        let data = path_on(io, "path")?;
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let data = path_here(io, ctx, "path")?;
         let index: i64 = io
             .get_optional("index")
             .map_err(|error| error.to_string())?

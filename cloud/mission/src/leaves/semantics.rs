@@ -259,6 +259,24 @@ fn a_cut_path_keeps_which_of_its_legs_are_driven_backwards() {
 }
 
 #[test]
+fn truncate_path_local_neither_skips_a_reverse_leg_nor_returns_to_it() {
+    // One metre back, then ahead over the same ground.
+    let path = path_with(&[(0.0, 0.0), (-1.0, 0.0), (15.0, 0.0)], &[0]);
+    let node =
+        r#"<TruncatePathLocal input_path="{path}" output_path="{cut}" distance_forward="-1" distance_backward="0.0"/>"#;
+    let mut stand = Stand::new(node).with("path", &path);
+    for (x, expected) in [
+        (0.001, (vec![(0.0, 0.0), (-1.0, 0.0), (15.0, 0.0)], vec![0])),
+        (-0.5, (vec![(-0.5, 0.0), (-1.0, 0.0), (15.0, 0.0)], vec![0])),
+        (-1.0, (vec![(-1.0, 0.0), (15.0, 0.0)], vec![])),
+        (-0.5, (vec![(-0.5, 0.0), (15.0, 0.0)], vec![])),
+    ] {
+        assert_eq!(stand.at(x, 0.0).now(), Success);
+        assert_eq!(stand.driven("cut"), expected, "at {x}");
+    }
+}
+
+#[test]
 fn joined_paths_keep_which_of_their_legs_are_driven_backwards() {
     // A corner of the first path is there twice, and the second path begins where the first one ends.
     let first = path_with(&[(0.0, 0.0), (2.0, 0.0), (2.0, 0.0), (1.0, 0.0)], &[2]);
@@ -272,7 +290,7 @@ fn joined_paths_keep_which_of_their_legs_are_driven_backwards() {
 }
 
 #[test]
-fn cut_and_joined_paths_keep_their_frame_or_are_carried_over_to_the_present_one() {
+fn paths_that_are_cut_joined_or_read_keep_their_frame_or_are_carried_over_to_the_present_one() {
     let told = |frame: u64, corners: &[(f64, f64)]| {
         let path = RouteData {
             frame: Some(frame),
@@ -318,6 +336,9 @@ fn cut_and_joined_paths_keep_their_frame_or_are_carried_over_to_the_present_one(
         (local.path("cut"), local.frame("cut")),
         (vec![(2.0, 0.0), (3.5, 0.0)], Some(0))
     );
+
+    let mut end = stand(r#"<GetPoseFromPath path="{path}" index="-1" pose="{pose}"/>"#).with("path", &later);
+    assert_eq!((end.now(), end.entry("pose").as_str()), (Success, "5;0"));
 
     let join = |first: &str, second: &str| {
         stand(r#"<ConcatenatePaths input_path1="{a}" input_path2="{b}" output_path="{joined}"/>"#)

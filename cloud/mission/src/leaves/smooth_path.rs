@@ -7,7 +7,7 @@ use zenav_protocol::messages::{MotionReply, MotionRequest, SmoothRequest};
 use zenav_protocol::time::Stamp;
 
 use super::path::{self, DrivenPath};
-use super::ports::{number, path_on};
+use super::ports::{number, path_here};
 use super::selectors::Choice;
 use super::{fail, no_error, step};
 use crate::context::Context;
@@ -36,16 +36,15 @@ const PATIENCE: f64 = 3.0;
 pub struct SmoothPath {
     ticket: Option<Ticket>,
     given: Option<RouteData>,
+    /// Frame of the map that the request is in.
+    frame: u64,
     since: Stamp,
 }
 
-impl Leaf<Context> for SmoothPath {
-    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        self.halt(io, ctx);
-        if let Err(why) = Choice::Smoother.check(io.get_optional("smoother_id").ok().flatten()) {
-            return fail(io, ctx, Some(error_code::INVALID_SMOOTHER), why);
-        }
-        let data = match path_on(io, "unsmoothed_path") {
+impl SmoothPath {
+    /// Sends the path to a motion worker, in the present frame of the map.
+    fn ask(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let data = match path_here(io, ctx, "unsmoothed_path") {
             Ok(data) if data.points.len() > 1 => data,
             Ok(_) => {
                 return fail(
@@ -65,6 +64,9 @@ impl Leaf<Context> for SmoothPath {
                 "the robot or its map is not known yet",
             );
         };
+        if !ctx.frames.is_settled() {
+            return step(io, ctx, "waits until the map is in one frame");
+        }
         let start = start(&data.driven());
         let request = SmoothRequest {
             robot: ctx.config.robot.to_string(),
@@ -79,12 +81,21 @@ impl Leaf<Context> for SmoothPath {
             unknown_is_free: ctx.config.settings.unknown_is_free,
             profile: ctx.goal.profile,
         };
-        *self = Self {
-            ticket: Some(ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request))))),
-            given: Some(data),
-            since: ctx.now,
-        };
+        self.ticket = Some(ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request)))));
+        self.given = Some(data);
+        self.frame = ctx.frames.at();
         step(io, ctx, "smooths")
+    }
+}
+
+impl Leaf<Context> for SmoothPath {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.halt(io, ctx);
+        if let Err(why) = Choice::Smoother.check(io.get_optional("smoother_id").ok().flatten()) {
+            return fail(io, ctx, Some(error_code::INVALID_SMOOTHER), why);
+        }
+        self.since = ctx.now;
+        self.ask(io, ctx)
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
@@ -95,14 +106,21 @@ impl Leaf<Context> for SmoothPath {
         let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) else {
             if waited > patience {
                 self.halt(io, ctx);
-                let why = format!("no motion worker has answered within {patience:.0} s");
+                let why = format!("no motion worker has smoothed the path within {patience:.0} s");
                 return fail(io, ctx, Some(error_code::TIMEOUT), why);
+            }
+            if self.ticket.is_none() {
+                return self.ask(io, ctx);
             }
             return step(io, ctx, "smooths");
         };
         self.ticket = None;
         let reply = match answer {
             Ok(Answer::Motion(reply)) => match *reply {
+                MotionReply::Smooth(reply) if reply.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() => {
+                    // The next tick asks again.
+                    return step(io, ctx, "smooths anew: the map has moved");
+                }
                 MotionReply::Smooth(reply) => reply,
                 _ => return fail(io, ctx, Some(error_code::UNKNOWN), OFF_TOPIC),
             },
@@ -122,6 +140,7 @@ impl Leaf<Context> for SmoothPath {
             length: path::length(&points),
             points,
             backwards,
+            frame: Some(self.frame),
             ..given
         };
         let written = smooth
@@ -155,4 +174,75 @@ fn start(path: &DrivenPath) -> Pose2 {
     let first = corners.find(|(point, _)| (point - begin).norm() > 1e-6);
     let ahead = first.map(|(point, is_backwards)| if is_backwards { begin - point } else { point - begin });
     Pose2::new(begin.x, begin.y, ahead.map_or(0.0, |ahead| ahead.y.atan2(ahead.x)))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::time::Duration;
+
+    use zenav_behaviour_tree::Tree;
+
+    use super::super::parse_path;
+    use super::*;
+    use crate::rig::{Rig, straight};
+    use crate::trees::build;
+
+    /// A robot at the origin, which plans along the x axis and smooths the path.
+    struct Plan {
+        rig: Rig,
+        tree: Tree<Context>,
+    }
+
+    impl Plan {
+        fn tick(&mut self, secs: f64) -> Status {
+            self.rig.at(secs);
+            let status = self.tree.tick(Duration::from_secs_f64(secs), &mut self.rig.ctx);
+            status.unwrap()
+        }
+
+        /// The corners that a motion worker is to smooth, m along y. It answers, in the frame of the newest map.
+        fn smooths(&mut self) -> Vec<f64> {
+            let mut asked = self.rig.ctx.asks.take_new().into_iter();
+            let request = asked.find_map(|(ticket, ask)| match ask {
+                Ask::Motion(request) => match *request {
+                    MotionRequest::Smooth(request) => Some((ticket, request.path)),
+                    _ => None,
+                },
+                _ => None,
+            });
+            let (ticket, path) = request.unwrap();
+            let reply = MotionReply::Smooth(self.rig.smooth(straight()));
+            self.rig.ctx.asks.answer(ticket, Ok(Answer::Motion(Box::new(reply))));
+            path.iter().map(|point| point.y).collect()
+        }
+
+        /// The map's frame that a path on the blackboard is of.
+        fn frame(&self, key: &str) -> Option<u64> {
+            parse_path(self.tree.blackboard().get(key).unwrap()).unwrap().frame
+        }
+    }
+
+    #[test]
+    fn a_path_of_the_first_frame_is_carried_over_and_an_answer_in_that_frame_is_asked_for_again() {
+        let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
+          <ComputePathToPose goal="12;0" path="{path}"/>
+          <SmoothPath unsmoothed_path="{path}" smoothed_path="{smooth}"/>
+        </Sequence></BehaviorTree></root>"#;
+        let mut plan = Plan {
+            rig: Rig::new(),
+            tree: build(text).unwrap(),
+        };
+        assert_eq!(plan.tick(2.0), Status::Running);
+        let route = plan.rig.route(&[], 24.0);
+        plan.rig.answer(route);
+        assert_eq!(plan.tick(2.05), Status::Running);
+        assert_eq!(plan.frame("path"), Some(0));
+        assert_eq!(plan.smooths(), [0.0, 0.0]);
+        plan.rig.closes(Pose2::new(0.0, 1.0, 0.0));
+        assert_eq!((plan.tick(2.1), plan.tick(2.15)), (Status::Running, Status::Running));
+        assert_eq!(plan.smooths(), [1.0, 1.0], "all lies a metre farther to the left");
+        assert_eq!(plan.tick(2.2), Status::Success);
+        assert_eq!(plan.frame("smooth"), Some(1));
+    }
 }

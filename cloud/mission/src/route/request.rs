@@ -42,7 +42,10 @@ impl RouteRequest {
     /// The given path from the robot's predicted position; a path that does not pass there is dropped.
     pub(super) fn join_given(&mut self, here: Point2<f64>) -> Option<DrivenPath> {
         let whole = path::length(&self.given.points);
-        let near = path::nearest(&self.given.points, here, 0.0, whole).filter(|near| near.distance <= JOIN);
+        let near = self
+            .given
+            .nearest(here, 0.0, whole, 0.0)
+            .filter(|near| near.distance <= JOIN);
         let Some(near) = near else {
             self.given = DrivenPath::default();
             return None;
@@ -113,5 +116,24 @@ mod tests {
         assert_eq!(joins(1.0, 0.2), (4, vec![2]), "before it");
         assert_eq!(joins(1.0, -3.2), (2, vec![]), "after it");
         assert_eq!(joins(0.0, -3.0), (1, vec![]), "at the end");
+    }
+
+    #[test]
+    fn a_given_path_that_begins_with_a_reverse_leg_is_joined_on_it_although_the_next_one_passes_nearer() {
+        let given = DrivenPath {
+            points: [0.0, -1.0, 12.0].map(|x| Point2::new(x, 0.0)).to_vec(),
+            backwards: vec![0],
+        };
+        let mut request = RouteRequest {
+            given,
+            ..RouteRequest::to(GoalPoint {
+                x: 12.0,
+                y: 0.0,
+                yaw: None,
+            })
+        };
+        let joined = request.join_given(Point2::new(0.02, 0.0)).unwrap();
+        let along: Vec<f64> = joined.points.iter().map(|point| point.x).collect();
+        assert_eq!((along, joined.backwards), (vec![0.02, 0.0, -1.0, 12.0], vec![0, 1]));
     }
 }

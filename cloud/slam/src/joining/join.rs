@@ -36,7 +36,7 @@ pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) 
         };
         let (laser, scan) = (newer.laser_of(node), &newer.scans[node]);
         let around = Around::near(limits);
-        if let Seen::At(refined, _) = seen_again(submap, scans, expected, around, laser, scan, &settings) {
+        if let Seen::At(refined) = seen_again(submap, scans, expected, around, laser, scan, &settings) {
             found.push(closure(submap.anchor, node, &refined, &settings));
         }
     }

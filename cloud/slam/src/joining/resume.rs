@@ -9,7 +9,7 @@ use zenav_scan_matching::points;
 use super::join::{closures, joined};
 use super::overview::Overview;
 use super::vote::{Vote, count};
-use crate::closure::{Around, DOUBT, Seen, seen_again};
+use crate::closure::{AMBIGUOUS, Around, DOUBT, Seen, seen_again};
 use crate::session::{laser_of, on_grid};
 use crate::slam::Slam;
 use crate::step::{Effects, SlamError};
@@ -156,6 +156,7 @@ impl Slam {
             reach: AROUND.0,
             turn: AROUND.1,
             budget: BUDGET * self.settings.closure.budget as usize,
+            far_margin: AMBIGUOUS,
         };
         let seen = on_grid(points(scan, Pose2::IDENTITY, 0.0, &self.settings.scan));
         let laser = scan.base_from_laser.position();

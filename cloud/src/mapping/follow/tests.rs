@@ -9,7 +9,7 @@ use tempfile::TempDir;
 use tokio::io::copy_bidirectional;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinHandle;
-use zenav_protocol::bus::{BusConfig, Clock, Publisher, Router, Shutdown, Subscription};
+use zenav_protocol::bus::{BusConfig, Clock, Publisher, RawReply, Router, Shutdown, Subscription};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{
@@ -17,7 +17,7 @@ use zenav_protocol::messages::{
     MapRef, MappingLeader, Scan,
 };
 use zenav_protocol::time::Stamp;
-use zenav_protocol::topics::{ANNOTATE, SCAN};
+use zenav_protocol::topics::{ANNOTATE, Producer, Row, SCAN, TABLE};
 
 use super::super::{MappingConfig, PoseSettings, PoseSource, run};
 use super::*;
@@ -362,6 +362,21 @@ async fn a_copy_takes_over_the_map_its_places_and_the_authority_and_a_leader_tha
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn every_ask_of_mapping_is_answered_by_the_leader_and_by_no_copy() {
+    let mut stage = Stage::new(PoseSource::Edge).await;
+    let (leader, _) = stage.lead().await;
+    let copy = stage.copy(1).await;
+    let is_ours = |row: &&Row| row.producer == Producer::Mapping && row.asked_by.is_some();
+    for row in TABLE.iter().filter(is_ours) {
+        let key = row.pattern.replace("{robot}", ROBOT);
+        let asked = stage.client.raw_query(&key, Some(b"{}".to_vec()), DEADLINE);
+        let replies = asked.await.unwrap();
+        assert!(matches!(replies[..], [RawReply::Ok(_)]), "{key}: {replies:?}");
+    }
+    stage.end([copy, leader]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_copy_without_the_leader_s_folder_goes_on_with_slam_in_the_map_that_it_followed() {
     let (mut stage, copy, before, after) = succeeded(PoseSource::Slam).await;
     // It draws in it, from where SLAM holds the robot to be.
@@ -478,6 +493,32 @@ async fn while_a_copy_waits_for_the_robot_only_the_last_leader_s_folder_goes_bef
     leader.kill().await;
     let seen = tokio::join!(look(true), look(false));
     assert_eq!(seen, (Vacancy::Open, Vacancy::Kept));
+    stage.end([copy]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_took_over_has_the_last_leader_s_folder_once_its_session_or_its_map_is_stored_there() {
+    let is_newest = |folder: &Path| storage::is_of_last_leader(ROBOT, Some(folder));
+    // SLAM stores its session unasked.
+    let (mut stage, copy, ..) = succeeded(PoseSource::Slam).await;
+    let folder = stage.folder(1);
+    stage.map(|_| is_newest(&folder)).await;
+    assert!(folder.join("slam.session").exists());
+    stage.end([copy]).await;
+
+    let (stage, copy, ..) = succeeded(PoseSource::Edge).await;
+    let folder = stage.folder(1);
+    assert!(!is_newest(&folder), "the map that it leads with is not stored");
+    let save = |name: Option<&str>| MapRequest {
+        action: MapAction::Save,
+        name: name.map(str::to_owned),
+        epoch: Some(7),
+        ..MapRequest::default()
+    };
+    for (name, expected) in [(Some("kitchen"), false), (None, true)] {
+        stage.client.ask(&MAP, &CHUNKS, &save(name), DEADLINE).await.unwrap();
+        assert_eq!(is_newest(&folder), expected, "saved as {name:?}");
+    }
     stage.end([copy]).await;
 }
 

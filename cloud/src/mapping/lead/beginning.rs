@@ -121,7 +121,7 @@ impl<'a> Beginning<'a> {
         if self.inherited.is_none() || self.is_leaders_folder {
             storage::note_leadership(robot, folder, term);
         } else {
-            // What is stored there is older than the inherited map.
+            // What is stored there is older than the inherited map, until this service stores its own.
             storage::note_term(robot, folder, term);
         }
         let leader = MappingLeader {

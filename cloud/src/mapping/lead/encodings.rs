@@ -3,9 +3,10 @@
 //! Encoding a large map takes longer than a scan may wait, so it runs on Tokio's blocking threads, from a snapshot.
 
 use zenav_mapping::map_image::{self, MapMode};
-use zenav_protocol::bus::Request;
+use zenav_protocol::bus::Responder;
 use zenav_protocol::grid::OccupancyGrid;
-use zenav_protocol::messages::{MapReply, MapRequest, Refusal};
+use zenav_protocol::messages::Refusal;
+use zenav_protocol::topics::{MappingReply, MappingRequest};
 
 use super::Leadership;
 
@@ -14,41 +15,40 @@ const MAX_ENCODING: usize = 4;
 
 impl Leadership {
     /// Replies with the whole map, in the form that the selector's parameter `format` asks for.
-    pub(super) fn hand_out(&mut self, request: Request<MapRequest, MapReply>) {
+    pub(super) fn hand_out(&mut self, responder: Responder<MappingRequest>) {
         if self.encoding.len() >= MAX_ENCODING {
-            request.refuse(&Refusal::Busy {
+            return responder.send(Err(Refusal::Busy {
                 reason: format!("{MAX_ENCODING} maps are being encoded"),
-            });
-            return;
+            }));
         }
         // Parameters that begin with `_` are Zenoh's own.
-        let unknown = request
+        let unknown = responder
             .parameters
             .keys()
             .find(|name| *name != "format" && !name.starts_with('_'));
         if let Some(name) = unknown {
             let name: String = name.chars().take(40).collect();
             let reason = format!("no parameter `{name}`: there is `format`");
-            request.refuse(&Refusal::bad_request(reason));
-            return;
+            return responder.send(Err(Refusal::bad_request(reason)));
         }
-        let format = request.parameters.get("format").map_or("json", String::as_str);
+        let format = responder.parameters.get("format").map_or("json", String::as_str);
         match format {
             "json" | "cbor" => {
                 let map = self.core.mapper.snapshot();
-                self.encoding.spawn_blocking(move || request.reply(&map.into_reply()));
+                self.encoding
+                    .spawn_blocking(move || responder.send(Ok(MappingReply::Map(map.into_reply()))));
             }
             "png" | "pgm" | "yaml" => {
                 let (format, map) = (format.to_owned(), self.core.mapper.snapshot());
                 self.encoding.spawn_blocking(move || match file(&map.grid(), &format) {
-                    Ok((bytes, mime)) => request.reply_bytes(bytes, mime),
-                    Err(refusal) => request.refuse(&refusal),
+                    Ok((bytes, mime)) => responder.send_bytes(bytes, mime),
+                    Err(refusal) => responder.send(Err(refusal)),
                 });
             }
             other => {
                 let found: String = other.chars().take(40).collect();
                 let reason = format!("`format` is {found}: expected json, cbor, png, pgm or yaml");
-                request.refuse(&Refusal::bad_request(reason));
+                responder.send(Err(Refusal::bad_request(reason)));
             }
         }
     }

@@ -1,19 +1,17 @@
 //! Inbox. What does a leader hear: scans, the robot's state, requests, and what others publish on its keys?
 
-use zenav_protocol::bus::{Bus, BusError, Latest, Received, Request, Server};
-use zenav_protocol::messages::{
-    AnnotateRequest, Annotations, EdgeState, Localisation, LocaliseReply, LocaliseRequest, MapFrame, MapReply,
-    MapRequest, Scan,
-};
-use zenav_protocol::topics::{ANNOTATE, ANNOTATIONS, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP, MAP_FRAME, SCAN, STATE};
+use zenav_protocol::bus::{Bus, BusError, Call, Latest, Received};
+use zenav_protocol::messages::{Annotations, EdgeState, Localisation, MapFrame, Scan};
+use zenav_protocol::topics::{ANNOTATIONS, LIDAR_SCAN, LOCALISATION, MAP_FRAME, MappingRequest, SCAN, STATE};
+
+use crate::requests::Requests;
 
 /// What arrives from the moment that a service begins to lead, and waits until its map is loaded.
 pub(super) struct Waiting {
     scans: Latest<Scan>,
     further_scans: Latest<Scan>,
     states: Latest<EdgeState>,
-    maps: Server<MapRequest, MapReply>,
-    places: Server<LocaliseRequest, LocaliseReply>,
+    requests: Requests<MappingRequest>,
 }
 
 impl Waiting {
@@ -25,8 +23,7 @@ impl Waiting {
             scans: bus.latest(&SCAN, &chunks)?,
             further_scans: bus.latest(&LIDAR_SCAN, &[robot, "*"])?,
             states: bus.latest(&STATE, &chunks)?,
-            maps: bus.serve(&MAP, &chunks)?,
-            places: bus.serve(&LOCALISE, &chunks)?,
+            requests: Requests::open(bus, robot)?,
         })
     }
 }
@@ -34,7 +31,6 @@ impl Waiting {
 /// All that a leader hears.
 pub(super) struct Inbox {
     waiting: Waiting,
-    annotates: Server<AnnotateRequest, Annotations>,
     // What others are told in the name of this service.
     frames: Latest<MapFrame>,
     annotations: Latest<Annotations>,
@@ -44,9 +40,7 @@ pub(super) struct Inbox {
 /// One thing that a leader hears.
 pub(super) enum Heard {
     State(Box<EdgeState>),
-    Map(Request<MapRequest, MapReply>),
-    Place(Request<LocaliseRequest, LocaliseReply>),
-    Annotate(Request<AnnotateRequest, Annotations>),
+    Request(Call<MappingRequest>),
     Scan(Box<Received<Scan>>),
     FurtherScan(Box<Received<Scan>>),
     /// On a key of this service, also by itself.
@@ -66,7 +60,6 @@ impl Inbox {
         let chunks = [robot];
         Ok(Self {
             waiting,
-            annotates: bus.serve(&ANNOTATE, &chunks)?,
             frames: bus.latest(&MAP_FRAME, &chunks)?,
             annotations: bus.latest(&ANNOTATIONS, &chunks)?,
             localisations: bus.latest(&LOCALISATION, &chunks)?,
@@ -80,15 +73,12 @@ impl Inbox {
             scans,
             further_scans,
             states,
-            maps,
-            places,
+            requests,
         } = &mut self.waiting;
         Some(tokio::select! {
             biased;
             state = states.next() => Heard::State(Box::new(state?.message)),
-            request = maps.next() => Heard::Map(request?),
-            request = places.next() => Heard::Place(request?),
-            request = self.annotates.next() => Heard::Annotate(request?),
+            request = requests.next() => Heard::Request(request?),
             scan = scans.next(), if takes_scans => Heard::Scan(Box::new(scan?)),
             scan = further_scans.next(), if takes_scans => Heard::FurtherScan(Box::new(scan?)),
             told = self.frames.next() => Heard::Frame(told?.message),

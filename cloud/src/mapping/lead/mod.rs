@@ -13,12 +13,10 @@
 //! | `body` | the robot's outline and message schema |
 //! | `authority` | may this request change the map? |
 //! | `requests` | answers; each change is carried out once |
-//! | `annotate` | requests for places and zones |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
 //! | `stored_maps` | storing and loading of maps |
 //! | `session` | SLAM's session on disk |
 
-mod annotate;
 mod authority;
 mod beginning;
 mod body;
@@ -34,7 +32,6 @@ mod scans;
 mod session;
 mod stored_maps;
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
@@ -116,7 +113,7 @@ struct Leadership {
     is_foreign: bool,
     authority: Authority,
     answered: FirstAnswers<MapReply>,
-    annotated: FirstAnswers<Arc<Annotations>>,
+    annotated: FirstAnswers<Annotations>,
     /// Whether nothing can be stored, since a frozen service locks the folder.
     is_locked_out: bool,
     outbox: Outbox,
@@ -254,9 +251,7 @@ impl Leadership {
         let now = clock.now();
         match heard {
             Heard::State(state) => self.hear(now, *state).await,
-            Heard::Map(request) => self.answer(request, now).await,
-            Heard::Place(request) => self.answer_place(request, now),
-            Heard::Annotate(request) => self.annotate(request, now).await,
+            Heard::Request(request) => self.answer(request, now).await,
             Heard::Scan(scan) => self.insert(&scan.message, scan.trace, now).await,
             Heard::FurtherScan(scan) => self.insert_further(&scan.message, scan.trace, now),
             Heard::Frame(told) => self.doubt(told != self.frame),

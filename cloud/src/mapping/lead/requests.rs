@@ -1,21 +1,21 @@
-//! Requests. Answers of the mapping service; a repeated request is carried out only once.
+//! Requests. How does the mapping service that leads answer requests? A repeated one is carried out only once.
 
 use std::collections::VecDeque;
 
-use zenav_protocol::bus::Request;
+use zenav_protocol::bus::Call;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    GoalPoint, LocaliseAction, LocaliseReply, LocaliseRequest, MapAction, MapReply, MapRequest, Refusal, StoredMapInfo,
+    AnnotateAction, AnnotateRequest, Annotations, GoalPoint, LocaliseAction, LocaliseReply, LocaliseRequest, MapAction,
+    MapReply, MapRequest, Refusal, StoredMapInfo,
 };
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{MappingReply, MappingRequest};
 
 use super::super::storage;
 use super::Leadership;
 
 /// Most answers kept for repeated requests.
 const MAX_ANSWERS: usize = 64;
-
-type Answer = Result<MapReply, Refusal>;
 
 /// First answers by request id, newest first: a repeated request gets the first answer and changes nothing.
 #[derive(Debug)]
@@ -43,54 +43,78 @@ impl<R: Clone> FirstAnswers<R> {
 }
 
 impl Leadership {
-    pub(super) async fn answer(&mut self, request: Request<MapRequest, MapReply>, now: Stamp) {
-        match request.body.action {
-            MapAction::Get => return self.hand_out(request),
-            MapAction::List => {
-                return match self.list().await {
-                    Ok(reply) => request.reply(&reply),
-                    Err(refusal) => request.refuse(&refusal),
-                };
-            }
-            _ => {}
-        }
-        let id = request.body.request_id.clone();
-        let answer = match self.answered.get(id.as_deref()) {
-            Some(first) => first,
-            // A refusal for lack of authority changed nothing: it is not kept, and the same request may succeed later.
-            None => match self.authority.admit(now, request.body.epoch) {
-                Err(refusal) => Err(refusal),
-                Ok(()) => {
-                    let answer = self.act(&request.body, now).await;
-                    self.answered.keep(id, &answer);
-                    answer
-                }
-            },
+    /// Answers one request. A new ask is a new arm here.
+    pub(super) async fn answer(&mut self, call: Call<MappingRequest>, now: Stamp) {
+        let Call { request, responder } = call;
+        let answer = match request {
+            // Encoding a whole map takes a while: the reply comes later.
+            MappingRequest::Map(MapRequest {
+                action: MapAction::Get, ..
+            }) => return self.hand_out(responder),
+            MappingRequest::Map(request) => self.control_map(request, now).await.map(MappingReply::Map),
+            MappingRequest::Localise(request) => self.localise(&request, now).map(MappingReply::Localise),
+            MappingRequest::Annotate(request) => self.annotate(request, now).await.map(MappingReply::Annotate),
         };
-        match answer {
-            Ok(reply) => request.reply(&reply),
-            Err(refusal) => request.refuse(&refusal),
-        }
+        responder.send(answer);
     }
 
-    /// Answers with the localisation health, after setting the pose or starting a search if requested.
-    pub(super) fn answer_place(&mut self, request: Request<LocaliseRequest, LocaliseReply>, now: Stamp) {
-        let LocaliseRequest { action, pose, epoch } = request.body.clone();
-        let done = match action {
-            LocaliseAction::Report => Ok(()),
-            LocaliseAction::At | LocaliseAction::Global => {
-                self.authority.admit(now, epoch).and_then(|()| match action {
-                    LocaliseAction::Global => self.look_everywhere(),
-                    _ => self.place(pose),
-                })
-            }
-        };
-        match done {
-            Ok(()) => request.reply(&LocaliseReply {
-                health: self.core.health(),
-            }),
-            Err(refusal) => request.refuse(&refusal),
+    /// Lists the stored maps, or carries out a change once.
+    async fn control_map(&mut self, request: MapRequest, now: Stamp) -> Result<MapReply, Refusal> {
+        if request.action == MapAction::List {
+            let stored = self.stored_maps().await?;
+            return Ok(self.described(stored));
         }
+        if let Some(first) = self.answered.get(request.request_id.as_deref()) {
+            return first;
+        }
+        // A refusal for lack of authority changed nothing: it is not kept, and the same request may succeed later.
+        self.authority.admit(now, request.epoch)?;
+        let answer = self.act(&request, now).await;
+        self.answered.keep(request.request_id, &answer);
+        answer
+    }
+
+    /// The localisation health, after setting the pose or starting a search if requested.
+    fn localise(&mut self, request: &LocaliseRequest, now: Stamp) -> Result<LocaliseReply, Refusal> {
+        if request.action != LocaliseAction::Report {
+            self.authority.admit(now, request.epoch)?;
+        }
+        match request.action {
+            LocaliseAction::Report => {}
+            LocaliseAction::At => self.place(request.pose)?,
+            LocaliseAction::Global => self.look_everywhere()?,
+        }
+        Ok(LocaliseReply {
+            health: self.core.health(),
+        })
+    }
+
+    /// The annotations, after a change if requested; a change is carried out once, under the lease in force.
+    async fn annotate(&mut self, request: AnnotateRequest, now: Stamp) -> Result<Annotations, Refusal> {
+        if request.action == AnnotateAction::Get {
+            return Ok(self.annotations.now().clone());
+        }
+        if let Some(first) = self.annotated.get(request.request_id.as_deref()) {
+            return first;
+        }
+        self.authority.admit(now, request.epoch)?;
+        if self.is_locked_out {
+            return Err(Refusal::rejected(
+                "places and zones cannot be stored: the mapping service that led before is suspended and locks the folder; end it, and \
+                 restart this one",
+            ));
+        }
+        // A successor of this process would carry a change over again if it continued in an older frame.
+        if self.session.frame() != self.core.mapper.map().frame {
+            let _ = self.keep(now, true).await;
+        }
+        let changed = self.annotations.change(request.action).await;
+        if changed == Ok(true) {
+            self.outbox.annotations.put(self.annotations.now());
+        }
+        let answer = changed.map(|_| self.annotations.now().clone());
+        self.annotated.keep(request.request_id, &answer);
+        answer
     }
 
     fn look_everywhere(&mut self) -> Result<(), Refusal> {
@@ -118,7 +142,7 @@ impl Leadership {
         Ok(())
     }
 
-    async fn act(&mut self, request: &MapRequest, now: Stamp) -> Answer {
+    async fn act(&mut self, request: &MapRequest, now: Stamp) -> Result<MapReply, Refusal> {
         match request.action {
             MapAction::Get | MapAction::List => {}
             MapAction::Save => {
@@ -140,11 +164,6 @@ impl Leadership {
         self.tell_info();
         self.tell_graph(now);
         Ok(self.described(Vec::new()))
-    }
-
-    async fn list(&self) -> Answer {
-        let stored = self.stored_maps().await?;
-        Ok(self.described(stored))
     }
 
     /// The map without its cells.

@@ -8,8 +8,8 @@ use tokio::task::JoinHandle;
 use zenav_protocol::messages::Refusal;
 use zenav_protocol::time::Stamp;
 
-use super::super::PoseSource;
 use super::super::slam_session::{self, KeepError, Written};
+use super::super::{PoseSource, storage};
 use super::Leadership;
 
 /// Pause after a failed attempt to store the session, s.
@@ -79,12 +79,14 @@ impl Leadership {
         };
         let is_missing = self.session.change < self.core.in_force();
         let (robot, is_own) = (self.config.robot.clone(), self.session.is_own);
+        let term = self.pulse.leader().term;
         self.session.writing = Some(tokio::task::spawn_blocking(move || {
             if !is_own {
                 make_room(&robot, &folder)?;
             }
             let (frame, change) = (kept.head.frame, kept.change);
             let on_disk = slam_session::write(&folder, kept)?;
+            storage::note_leadership(&robot, Some(&folder), term);
             Ok(Written { frame, change, on_disk })
         }));
         if !is_missing && !anyway {

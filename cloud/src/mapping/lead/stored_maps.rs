@@ -9,7 +9,8 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{MapRequest, Refusal, StoredMapInfo};
 use zenav_protocol::time::Stamp;
 
-use super::super::storage::new_map;
+use super::super::PoseSource;
+use super::super::storage::{self, new_map};
 use super::Leadership;
 
 /// Folder of named maps, in a robot's folder.
@@ -36,6 +37,9 @@ impl Leadership {
         if map.info.spec.is_empty() {
             return Err(Refusal::rejected("the map cannot be saved: it has no cells yet"));
         }
+        // A service of SLAM begins with its session, whatever map lies beside it.
+        let is_begun_with = name.is_none() && self.config.poses.source != PoseSource::Slam;
+        let (robot, term) = (self.config.robot.clone(), self.pulse.leader().term);
         let saved = tokio::task::spawn_blocking(move || {
             let stored = StoredMap {
                 grid: map.grid(),
@@ -47,7 +51,11 @@ impl Leadership {
                     touched: map.touched,
                 },
             };
-            store::save(&folder, &stored).map_err(|error| error.to_string())
+            let saved = store::save(&folder, &stored).map_err(|error| error.to_string());
+            if saved.is_ok() && is_begun_with {
+                storage::note_leadership(&robot, Some(&folder), term);
+            }
+            saved
         });
         match saved.await.map_err(|error| error.to_string()) {
             Ok(Ok(path)) => {

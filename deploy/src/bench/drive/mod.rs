@@ -12,6 +12,7 @@ use serde::Serialize;
 use self::runs::{Run, all, compare};
 use self::table::{EXTRAS, Extra, Row};
 use super::suites::Suite;
+use crate::completion;
 use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -32,7 +33,7 @@ pub struct DriveArgs {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = connect::whole_in(0..=1_000_000_000_u64))]
     first_seed: u64,
     /// Drive with this robot, a shipped one or a file, `+OPTION` for each option; may be repeated [default: those of the suite]
-    #[arg(long = "robot", value_name = "NAME")]
+    #[arg(long = "robot", value_name = "NAME", add = completion::models())]
     robots: Vec<String>,
     /// Folder of BARN's worlds for S1, `world_N.world` or `world_N.toml`
     #[arg(long, value_name = "DIR")]

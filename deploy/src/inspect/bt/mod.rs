@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use zenav_behaviour_tree::{Limits, TreeErrors};
 use zenav_mission::trees as missions;
 
+use crate::completion;
 use crate::connect::RobotArgs;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -38,11 +39,13 @@ enum BtCommand {
     /// Check a tree file against the nodes that missions know; reports all errors at once
     Validate {
         /// Tree file, or name of a shipped tree
+        #[arg(add = completion::behaviour_trees())]
         file: String,
     },
     /// Draw a tree, with the ports of its nodes
     Show {
         /// Tree file, or name of a shipped tree
+        #[arg(add = completion::behaviour_trees())]
         file: String,
         /// Tree of the file to draw [default: the main one]
         #[arg(long, value_name = "ID")]
@@ -68,6 +71,7 @@ enum BtCommand {
     /// Run a tree against a script in simulated time; the tree's result is in `status`, the exit code is 0 either way
     Simulate {
         /// Tree file, or name of a shipped tree
+        #[arg(add = completion::behaviour_trees())]
         file: String,
         /// Script of the leaves' results, JSON [default: all succeed]
         #[arg(long, value_name = "FILE")]

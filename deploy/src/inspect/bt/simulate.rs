@@ -39,9 +39,9 @@ pub(super) fn simulate(file: &str, path: Option<&Path>, id: Option<&str>, format
         let error = error.unwrap_or_default();
         let late = if outcome.timed_out { ", time ran out" } else { "" };
         format!(
-            "{}{error} after {} ticks, {} ms{late}\n\n{}",
+            "{}{error} after {}, {} ms{late}\n\n{}",
             outcome.status,
-            outcome.ticks,
+            output::counted(outcome.ticks, "tick"),
             outcome.sim_time_ms,
             output::table(&["LEAF", "STARTS"], rows)
         )

@@ -7,7 +7,7 @@ use zenav_protocol::messages::{EdgeState, Faults, GuardZone, Mode};
 
 use super::Heard;
 use crate::inspect::check::Check;
-use crate::output::hundredths;
+use crate::output::{counted, hundredths};
 
 /// Longest age of a robot's newest message, if its link carries all of them.
 const FRESH: Duration = Duration::from_millis(500);
@@ -46,8 +46,11 @@ pub(super) fn control_loop(name: &str, first: Option<&EdgeState>, last: &EdgeSta
         }
         _ => {
             let seen = match before {
-                Some(_) => format!("{late} ticks came too late in {secs:.1} s; {all} since the start"),
-                None => format!("{all} ticks came too late since the start"),
+                Some(_) => format!(
+                    "{} came too late in {secs:.1} s; {all} since the start",
+                    counted(late, "tick")
+                ),
+                None => format!("{} came too late since the start", counted(all, "tick")),
             };
             Some(Check::warn(name, CHECK, seen, "give the robot's machine less to do"))
         }
@@ -138,6 +141,7 @@ mod tests {
             (None, 7, Verdict::Warn, "7 ticks came too late since the start"),
             (Some(7), 7, Verdict::Ok, "7 since the start"),
             (Some(7), 9, Verdict::Warn, "2 ticks came too late in "),
+            (Some(7), 8, Verdict::Warn, "1 tick came too late in "),
         ] {
             robot.state = fresh(missed(last));
             robot.state.first = first.map(missed);

@@ -5,7 +5,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{BasedOn, Correction, MapRef, Plan, Revision};
 
 use super::rig::Rig;
-use crate::control_io::{Persisted, Publication};
+use crate::control_io::{Outbox, Persisted, Publication};
 
 /// A robot without a compass that has just begun to drive four metres ahead.
 fn driving() -> (Rig, u64, Plan) {
@@ -44,11 +44,10 @@ fn say(rig: &mut Rig, map_from_base: Pose2, frame: u64, moves: &[Pose2]) {
     });
 }
 
-/// The frame that the robot's next intent is in.
-fn told_frame(rig: &mut Rig) -> Option<u64> {
-    let mut published = (0..50).flat_map(|_| rig.tick().publications);
-    published.find_map(|publication| match publication {
-        Publication::Intent(intent) => Some(intent.frame),
+/// The pose that the robot announces to others in a tick, if it does.
+fn announced(out: &Outbox) -> Option<Pose2> {
+    out.publications.iter().find_map(|publication| match publication {
+        Publication::Intent(intent) => Some(intent.map_from_base),
         _ => None,
     })
 }
@@ -72,7 +71,24 @@ fn a_map_that_moves_moves_belief_and_plan_with_it_and_nothing_else() {
     }
     assert!(slowest > 0.9 * speed, "{slowest} after {speed}");
     assert_eq!(rig.rejection(), None);
-    assert_eq!(told_frame(&mut rig), Some(1));
+}
+
+#[test]
+fn a_robot_whose_map_moves_announces_its_course_at_once() {
+    let (mut rig, ..) = driving();
+    let here = rig.pilot.map_from_base();
+    say(&mut rig, here, 0, &[]);
+    rig.tick();
+    // The next announcement would be due a period after this one.
+    assert!((0..50).any(|_| announced(&rig.tick()).is_some()));
+    let before = rig.pilot.map_from_base();
+    say(&mut rig, MOVE * before, 1, &[MOVE]);
+    let told = announced(&rig.tick());
+    assert!(
+        told.is_some_and(|told| told.distance(&(MOVE * before)) < 0.05),
+        "{told:?}"
+    );
+    assert_eq!(announced(&rig.tick()), None, "and then a period later again");
 }
 
 #[test]

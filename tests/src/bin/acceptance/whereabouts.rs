@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use zenav_cloud::mapping::PoseSource;
-use zenav_fixtures::thread_time;
+use zenav_fixtures::{Row, thread_time};
 use zenav_localisation::LocalisationSettings;
 use zenav_mapping::read_map;
 use zenav_tests::acceptance::{closure, everywhere, kidnapped};
@@ -32,6 +32,19 @@ pub fn closure(runs: u64, first: u64) -> Verdict {
         most(|closing| closing.later),
         most(|closing| closing.stood),
     );
+    Row::new(format!("drives unharmed, of {runs}"), good as f64, "").print();
+    for (name, value, unit) in [
+        ("farthest beside the way", most(|closing| closing.beside), "m"),
+        ("farthest from the goal's spot", most(|closing| closing.error), "m"),
+        (
+            "farthest from it without the closure",
+            most(|closing| closing.error_without),
+            "m",
+        ),
+        ("longest time more at rest", most(|closing| closing.stood), "s"),
+    ] {
+        Row::new(name, value, unit).print();
+    }
     Ok(good == runs)
 }
 
@@ -71,6 +84,17 @@ pub fn kidnapped(runs: u64, first: u64, slam: bool) -> Verdict {
         at(0.5).unwrap_or(f64::NAN),
         at(0.95).unwrap_or(f64::NAN),
     );
+    let total = all.len();
+    for (name, many) in [
+        ("noticed within 1 s or 0.5 m", count(|told| told.is_noticed())),
+        ("right again within 3 s of that", count(|told| told.is_found())),
+        ("trusted a wrong place", count(|told| told.trusted_wrong)),
+        ("drove a plan while lost", count(|told| told.drove_lost > 0.0)),
+    ] {
+        Row::new(format!("{name}, of {total}"), many as f64, "").print();
+    }
+    Row::new("right again, median", at(0.5).unwrap_or(f64::NAN), "s").print();
+    Row::new("right again, 95 %", at(0.95).unwrap_or(f64::NAN), "s").print();
     Ok(all.iter().all(kidnapped::Kidnapping::is_good))
 }
 
@@ -91,6 +115,16 @@ pub fn localise(places: usize, files: &[PathBuf], seed: u64) -> Verdict {
                 100.0 * agreeing
             );
         }
+        for (what, many) in [
+            ("right", tally.right),
+            ("ambiguous", tally.ambiguous + tally.ambiguous_wrong),
+            ("ambiguous without the right place", tally.ambiguous_wrong),
+            ("without an answer", tally.nowhere + tally.out_of_budget),
+            ("wrong", tally.wrong.len()),
+        ] {
+            Row::new(format!("{name}: {what}, of {}", tally.took.len()), many as f64, "").print();
+        }
+        Row::new(format!("{name}: processor time, 95 %"), tally.within(0.95), "s").print();
         good &= tally.wrong.is_empty() && tally.within(0.95) <= 1.0;
     }
     Ok(good)

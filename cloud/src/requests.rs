@@ -1,27 +1,24 @@
-//! Requests. One queue for the requests of clients and other missions, fed by a server for each key.
+//! Requests. One queue for the requests of clients and other services to a robot's part, fed by a server for each key.
 
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Call};
-use zenav_protocol::topics::MissionRequest;
+use zenav_protocol::topics::PartAsks;
 
-/// A client's request, with the channel for its answer.
-pub(super) type Pending = Call<MissionRequest>;
-
-/// Requests on all keys, in turn.
-pub(super) struct Requests {
-    calls: mpsc::Receiver<Pending>,
+/// Requests on all keys of a part, in turn.
+pub(crate) struct Requests<P: PartAsks> {
+    calls: mpsc::Receiver<Call<P>>,
     /// The servers run as long as this lives.
     _servers: JoinSet<()>,
 }
 
-impl Requests {
-    /// Serves the mission requests of a robot.
-    pub(super) fn open(bus: &Bus, robot: &str) -> Result<Self, BusError> {
+impl<P: PartAsks> Requests<P> {
+    /// Serves all asks of a robot's part.
+    pub(crate) fn open(bus: &Bus, robot: &str) -> Result<Self, BusError> {
         // Capacity one: the server that waits longest puts its request next, so none starves another.
         let (sender, calls) = mpsc::channel(1);
         let mut servers = JoinSet::new();
-        for mut server in bus.serve_part(&[robot])? {
+        for mut server in bus.serve_part::<P>(&[robot])? {
             let sender = sender.clone();
             servers.spawn(async move {
                 while let Some(call) = server.next().await {
@@ -37,8 +34,8 @@ impl Requests {
         })
     }
 
-    /// The next request; `None` when the bus was closed.
-    pub(super) async fn next(&mut self) -> Option<Pending> {
+    /// The next request, with the channel for its answer; `None` when the bus was closed. Loses nothing if it is dropped.
+    pub(crate) async fn next(&mut self) -> Option<Call<P>> {
         self.calls.recv().await
     }
 }
