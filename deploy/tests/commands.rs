@@ -215,6 +215,26 @@ async fn a_goal_sent_twice_by_one_id_is_one_goal() {
     );
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn the_goals_of_all_robots_are_listed_each_with_its_robot() {
+    let (_router, endpoint) = router().await;
+    let _one = Fake::start(&endpoint, "r1").await;
+    let _two = Fake::start(&endpoint, "r2").await;
+    for robot in ["r1", "r2"] {
+        zenav(
+            &endpoint,
+            &["goal", "submit", "1", "2", "--id", robot, "--robot", robot],
+        )
+        .await
+        .expect(0);
+    }
+    let listed = zenav(&endpoint, &["goal", "list"]).await.expect(0).out;
+    for start in ["ID  ROBOT  STATE ", "r1  r1 ", "r2  r2 "] {
+        assert!(listed.lines().any(|line| line.starts_with(start)), "{start}: {listed}");
+    }
+    assert!(listed.contains("AGE"), "{listed}");
+}
+
 #[cfg(unix)]
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_detaches_from_a_goal_and_does_not_cancel_it() {

@@ -166,6 +166,15 @@ impl Footprint {
         }
     }
 
+    /// Half the width that a robot needs to drive straight ahead, m: the largest distance of the outline from the x axis of the base.
+    #[must_use]
+    pub fn half_width(&self) -> f64 {
+        match self {
+            Self::Radius(radius) => *radius,
+            Self::Polygon(corners) => corners.iter().map(|corner| corner.y.abs()).fold(0.0, f64::max),
+        }
+    }
+
     /// The outline moved outwards by a distance on all sides, m; a negative distance moves it inwards, by at most half the inscribed
     /// radius.
     #[must_use]
@@ -478,6 +487,9 @@ mod tests {
             .footprint;
         assert!((jackal.inscribed_radius() - 0.165).abs() < 1e-12);
         assert!((jackal.circumscribed_radius() - 0.21_f64.hypot(0.165)).abs() < 1e-12);
+        assert!((jackal.half_width() - 0.165).abs() < 1e-12);
+        let corners = [(-0.3, -0.1), (0.3, -0.1), (0.3, 0.4), (-0.3, 0.4)].map(|(x, y)| Point2::new(x, y));
+        assert!((Footprint::Polygon(corners.to_vec()).half_width() - 0.4).abs() < 1e-12);
         assert!((jackal.distance(Point2::new(0.31, 0.0)) - 0.1).abs() < 1e-12);
         assert_eq!(jackal.distance(Point2::new(0.1, 0.1)), 0.0);
     }

@@ -19,6 +19,7 @@ export const layers = {
   trail: { title: "Trail", on: true, sign: "var(--trail)" },
   scan: { title: "Scan", on: true, sign: "var(--scan)" },
   plan: { title: "Plan, coloured by speed", on: true, sign: gradient(RAMP) },
+  corridor: { title: "Corridor of the plan", on: true, sign: "var(--accent)" },
   swath: { title: "Footprint along the plan", on: true, sign: "var(--good)" },
   tree: { title: "Search tree", on: false, sign: "var(--tree)" },
   graph: { title: "Pose graph", on: false, sign: "var(--soft)" },
@@ -128,6 +129,31 @@ function posesAlong(plan, step) {
     }
   });
   return poses;
+}
+
+/** The free polygons that the plan's curve stays in: where the robot's centre may be. */
+function drawCorridor(context, camera, colours, corridor) {
+  const plan = store.data("plan");
+  if (!plan || plan.trajectory_id !== corridor.trajectory_id || !isFresh(plan)) return;
+  const faint = isFaint(plan);
+  context.fillStyle = colours.accent;
+  context.strokeStyle = colours.accent;
+  context.lineWidth = 1;
+  // One shape, so that overlaps are no darker.
+  context.beginPath();
+  for (const polygon of corridor.polygons) {
+    for (let at = 0; at + 1 < polygon.length; at += 2) {
+      const place = camera.toScreen(polygon[at], polygon[at + 1]);
+      if (at) context.lineTo(...place);
+      else context.moveTo(...place);
+    }
+    context.closePath();
+  }
+  context.globalAlpha = faint ? 0.04 : 0.14;
+  context.fill();
+  context.globalAlpha = faint ? 0.2 : 0.6;
+  context.stroke();
+  context.globalAlpha = 1;
 }
 
 /** The floor that the footprint will sweep: its outline along the plan. */
@@ -369,6 +395,7 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
   if (on("tree") && store.age("tree") < 20) detail("tree", drawSearch);
   if (on("graph")) detail("graph", drawGraph);
   if (on("trail")) drawTrail(context, camera, colours);
+  if (on("corridor")) detail("corridor", drawCorridor);
   if (on("swath")) detail("plan", drawSwath);
   if (on("plan")) detail("plan", drawPlan);
   const edited = tools.draft;

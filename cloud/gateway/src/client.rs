@@ -204,8 +204,11 @@ mod tests {
     use nalgebra::Point2;
     use serde_json::{Value, json};
     use zenav_protocol::grid::GridSpec;
-    use zenav_protocol::messages::{EdgeState, Event, MapPatch, MapRef, PoseEstimate, TILE, Tile};
+    use zenav_protocol::messages::{
+        EdgeState, Event, MapPatch, MapRef, MotionReply, Plan, PlanStatistics, PoseEstimate, SmoothReply, TILE, Tile,
+    };
     use zenav_protocol::time::Stamp;
+    use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
     use super::*;
     use crate::view::Update;
@@ -378,6 +381,54 @@ mod tests {
             }),
             "an edge to a node that does not exist is left out"
         );
+    }
+
+    #[test]
+    fn a_plan_s_corridor_is_that_of_the_answer_with_its_trajectory_whichever_comes_first() {
+        let (mut view, mut client) = (FleetView::new(), Client::new());
+        client.watch(Some("a".into()));
+        let drive = |x: f64| {
+            let end = TrajectoryPoint {
+                t: 1.0,
+                x,
+                ..TrajectoryPoint::default()
+            };
+            Trajectory::new(vec![TrajectoryPoint::default(), end])
+        };
+        let plan = |trajectory_id: u64, x: f64| {
+            Update::Plan(Plan {
+                trajectory_id,
+                trajectory: drive(x),
+                ..Plan::default()
+            })
+        };
+        let answer = |x: f64| {
+            Update::Motion(MotionReply::Smooth(SmoothReply {
+                map: MapRef::default(),
+                trajectory: drive(x),
+                statistics: PlanStatistics::default(),
+                corridor: vec![vec![Point2::new(0.0, -1.0), Point2::new(x, -1.0), Point2::new(x, 1.0)]],
+            }))
+        };
+        let corridor = |trajectory_id: u64, x: f64| json!({ "trajectory_id": trajectory_id, "polygons": [[0.0, -1.0, x, -1.0, x, 1.0]] });
+        let updates = [
+            (answer(2.0), json!(null), "no plan yet"),
+            (answer(3.0), json!(null), "no plan yet"),
+            (plan(7, 2.0), corridor(7, 2.0), "its answer came first"),
+            (plan(7, 2.0), json!(null), "renewed: told once"),
+            (plan(8, 4.0), json!(null), "no answer yet"),
+            (answer(4.0), corridor(8, 4.0), "its plan came first"),
+            (plan(7, 2.0), corridor(7, 2.0), "in force again"),
+        ];
+        for (update, expected, why) in updates {
+            view.take("a", update, 1.0);
+            view.take("a", pose(0.0), 1.0);
+            assert_eq!(
+                told(&mut client, &view, 1.0)["detail"]["corridor"]["data"],
+                expected,
+                "{why}"
+            );
+        }
     }
 
     #[test]

@@ -301,6 +301,26 @@ fn a_house_whose_furniture_was_moved_is_still_that_house() {
 }
 
 #[test]
+fn people_who_walk_around_the_robot_neither_lose_it_nor_pull_it_along() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let guess = Pose2::new(1.0, 2.0, 0.6);
+    for (number, (truth, odometry)) in drive().into_iter().enumerate() {
+        let mut scan = look(&map, 100 + 100_000_000 * number as u64, truth, odometry, guess);
+        // Three people, each as wide as 15 of the 240 beams.
+        for person in [20, 110, 190] {
+            let hidden = scan.ranges.iter_mut().skip(person + number % 20).take(15);
+            hidden.for_each(|range| *range = range.min(0.8));
+        }
+        let located = localiser.step(&scan).unwrap();
+        assert!(
+            located.health.is_trusted() && !located.is_found_anew && located.pose.distance(&truth) < 0.1,
+            "scan {number}: {located:?} instead of {truth:?}"
+        );
+    }
+}
+
+#[test]
 fn rooms_that_the_map_does_not_know_are_no_contradiction_and_walls_in_the_way_are() {
     let mut map = house();
     let settings = LocalisationSettings::default();

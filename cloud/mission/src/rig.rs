@@ -227,6 +227,7 @@ impl Rig {
             map: self.ctx.map.newest().unwrap(),
             trajectory,
             statistics: PlanStatistics::default(),
+            corridor: Vec::new(),
         }
     }
 

@@ -130,6 +130,8 @@ fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
 pub struct Evidence {
     corridor: Option<CorridorFigures>,
     geometry: Option<SolverFigures>,
+    /// The corridor's polygons, in order.
+    pub polygons: Vec<FreePolygon>,
 }
 
 impl Evidence {
@@ -142,6 +144,7 @@ impl Evidence {
         });
         corridor.polygons += polygons.len();
         corridor.least_width = corridor.least_width.min(width);
+        self.polygons.extend_from_slice(polygons);
         let known = self.geometry.get_or_insert_with(|| SolverFigures {
             status: solver.status.clone(),
             ..SolverFigures::default()

@@ -92,7 +92,41 @@ impl FreePolygon {
         let along = self.to - self.from;
         along.y.atan2(along.x)
     }
+
+    /// Its corners, counter-clockwise, m; none without an area.
+    ///
+    /// ```
+    /// use nalgebra::{Point2, Vector2};
+    /// use zenav_smoothing::{FreePolygon, HalfPlane};
+    ///
+    /// // A square of 2 m around the origin.
+    /// let side = |x, y| HalfPlane { normal: Vector2::new(x, y), offset: 1.0 };
+    /// let square = FreePolygon {
+    ///     sides: vec![side(1.0, 0.0), side(-1.0, 0.0), side(0.0, 1.0), side(0.0, -1.0)],
+    ///     from: Point2::new(-1.0, 0.0),
+    ///     to: Point2::new(1.0, 0.0),
+    ///     length: 2.0,
+    /// };
+    /// let corners = square.corners();
+    /// assert_eq!(corners.len(), 4);
+    /// assert!(corners.iter().all(|corner| (corner.x.abs() - 1.0).abs() < 1e-9 && (corner.y.abs() - 1.0).abs() < 1e-9));
+    /// ```
+    #[must_use]
+    pub fn corners(&self) -> Vec<Point2<f64>> {
+        let around = frame_corners(self.from, self.to, FAR);
+        let mut corners: Vec<_> = around.into_iter().map(|corner| (corner, 0)).collect();
+        for side in &self.sides {
+            corners = clipped(&corners, side, 0);
+        }
+        if corners.len() < 3 {
+            return Vec::new();
+        }
+        corners.into_iter().map(|(corner, _)| corner).collect()
+    }
 }
+
+/// No polygon reaches this far beyond its piece, m.
+const FAR: f64 = 1000.0;
 
 /// Share of the room beyond the robot's own extent that is kept clear.
 const SHARE: f64 = 0.5;
@@ -400,19 +434,7 @@ fn needed(sides: &[HalfPlane], frame: &[Point2<f64>; 4]) -> Vec<HalfPlane> {
     // Each corner carries the side of the edge that leaves it, counter-clockwise.
     let mut corners: Vec<(Point2<f64>, usize)> = frame.iter().copied().zip(0..4).collect();
     for (index, side) in sides.iter().enumerate().skip(4) {
-        let mut clipped = Vec::with_capacity(corners.len() + 1);
-        for (i, (corner, edge)) in corners.iter().enumerate() {
-            let (next, _) = corners[(i + 1) % corners.len()];
-            let (here, there) = (side.depth(*corner), side.depth(next));
-            let crossing = || corner + (next - corner) * (here / (here - there));
-            match (here >= 0.0, there >= 0.0) {
-                (true, true) => clipped.push((*corner, *edge)),
-                (true, false) => clipped.extend([(*corner, *edge), (crossing(), index)]),
-                (false, true) => clipped.push((crossing(), *edge)),
-                (false, false) => {}
-            }
-        }
-        corners = clipped;
+        corners = clipped(&corners, side, index);
     }
     if corners.len() < 3 {
         // No area, for example where obstacles touch the path on both sides: nothing can be left out.
@@ -422,6 +444,24 @@ fn needed(sides: &[HalfPlane], frame: &[Point2<f64>; 4]) -> Vec<HalfPlane> {
     kept.sort_unstable();
     kept.dedup();
     kept.into_iter().map(|index| sides[index]).collect()
+}
+
+/// The part of a convex polygon inside a half plane. Each corner, counter-clockwise, carries the number of the edge that leaves it; the new
+/// edge gets `index`.
+fn clipped(corners: &[(Point2<f64>, usize)], side: &HalfPlane, index: usize) -> Vec<(Point2<f64>, usize)> {
+    let mut clipped = Vec::with_capacity(corners.len() + 1);
+    for (i, (corner, edge)) in corners.iter().enumerate() {
+        let (next, _) = corners[(i + 1) % corners.len()];
+        let (here, there) = (side.depth(*corner), side.depth(next));
+        let crossing = || corner + (next - corner) * (here / (here - there));
+        match (here >= 0.0, there >= 0.0) {
+            (true, true) => clipped.push((*corner, *edge)),
+            (true, false) => clipped.extend([(*corner, *edge), (crossing(), index)]),
+            (false, true) => clipped.push((crossing(), *edge)),
+            (false, false) => {}
+        }
+    }
+    clipped
 }
 
 #[cfg(test)]
@@ -486,8 +526,14 @@ mod tests {
             prop_assume!(super::super::shortcut::is_clear(&space, a, b, RADIUS + HAIR));
             for polygon in corridor(&space, &[a, b], &SIZE) {
                 prop_assert!(polygon.holds(polygon.from, 1e-9) && polygon.holds(polygon.to, 1e-9));
+                let corners = polygon.corners();
+                prop_assert!(corners.iter().all(|corner| polygon.holds(*corner, 1e-9)), "{corners:?}");
+                let depth = |point: Point2<f64>| polygon.sides.iter().map(|side| side.depth(point)).fold(f64::INFINITY, f64::min);
                 for (x, y) in &inside {
                     let point = Point2::new(a.x.min(b.x) - 1.2 + x * (path.0.abs() + 2.4), a.y.min(b.y) - 1.2 + y * (path.1.abs() + 2.4));
+                    if depth(point).abs() > 1e-6 {
+                        prop_assert_eq!(zenav_protocol::polygon::contains(&corners, point), depth(point) > 0.0, "{}", point);
+                    }
                     if polygon.holds(point, 0.0) {
                         prop_assert!(space.clearance(point) > RADIUS && space.is_permitted(point), "{point}");
                     }

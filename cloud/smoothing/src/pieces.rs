@@ -14,6 +14,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::trajectory::Trajectory;
 use zenav_space::ConfigurationSpace;
 
+use super::corridor::FreePolygon;
 use super::outcome::Outcome;
 use super::settings::SmoothingSettings;
 use super::smoother::{SmoothQuery, smooth};
@@ -170,6 +171,8 @@ pub struct SmoothedPieces {
     pub outcome: Outcome,
     /// The pieces in which the robot moves, in order; none if there is nothing to drive, and if a piece is blocked.
     pub pieces: Vec<SmoothedPiece>,
+    /// The free polygons that contain the curves of all pieces, in order; none along straight lines.
+    pub corridor: Vec<FreePolygon>,
     /// Of all pieces together: times, lengths and energies add up, the least clearance counts, and the certificate holds for each piece.
     pub statistics: PlanStatistics,
 }
@@ -271,8 +274,10 @@ pub fn smooth_pieces(
         }
         if is_blocked {
             whole.pieces.clear();
+            whole.corridor.clear();
             return whole;
         }
+        whole.corridor.extend(smoothed.corridor);
         // Where there is nothing to drive, the next piece begins at the same pose.
         if !smoothed.trajectory.is_empty() {
             let driven = SmoothedPiece {

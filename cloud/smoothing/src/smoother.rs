@@ -14,6 +14,7 @@ use zenav_protocol::trajectory::Trajectory;
 use zenav_space::ConfigurationSpace;
 
 use super::certificate::certify;
+use super::corridor::FreePolygon;
 use super::outcome::{Fallback, Outcome};
 use super::phases::Phases;
 use super::settings::SmoothingSettings;
@@ -79,6 +80,8 @@ pub struct Smoothed {
     pub outcome: Outcome,
     /// In closed form; empty if there is nothing to drive, and if the path itself is blocked.
     pub trajectory: PiecewiseTrajectory,
+    /// The free polygons that contain the curve, in order; none along straight lines.
+    pub corridor: Vec<FreePolygon>,
     /// The outcome as `status`, the solver's status, times of the phases, length, duration, least clearance and certificate; the caller
     /// fills in planner and search.
     pub statistics: PlanStatistics,
@@ -160,9 +163,10 @@ pub fn smooth(
     };
     let Checked {
         trajectory,
-        evidence,
+        mut evidence,
         least,
     } = checked.unwrap_or_default();
+    let corridor = std::mem::take(&mut evidence.polygons);
     let (trajectory, limits) = match query.profile {
         DrivingProfile::Economy if !phases.is_over() => {
             phases.measure(|p| &mut p.timing, || economical(trajectory, model, &limits))
@@ -188,6 +192,7 @@ pub fn smooth(
     Smoothed {
         outcome,
         trajectory,
+        corridor,
         statistics,
     }
 }

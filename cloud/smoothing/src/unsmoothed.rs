@@ -50,6 +50,7 @@ pub fn unsmoothed(
     Smoothed {
         outcome,
         trajectory,
+        corridor: Vec::new(),
         statistics,
     }
 }

@@ -1,7 +1,7 @@
 //! Details. Topics of a robot that are subscribed to only while a browser watches it.
 //!
-//! Mission, goals, scans, plan, markers, moving obstacles, search tree, pose graph and map: each subscription ends with the last watcher.
-//! The model is asked for once, the round trip is measured every two seconds.
+//! Mission, goals, scans, plan and its corridor, markers, moving obstacles, search tree, pose graph and map: each subscription ends with
+//! the last watcher. The model is asked for once, the round trip is measured every two seconds.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,7 +13,8 @@ use zenav_gateway::{Hub, Update};
 use zenav_protocol::bus::{AskError, Bus, BusError, Shutdown};
 use zenav_protocol::messages::{InfoRequest, MapRequest, ModeRequest};
 use zenav_protocol::topics::{
-    EDGE_INFO, GOAL_STATE, GRAPH, LIDAR_SCAN, MAP, MAP_PATCH, MARKER, MISSION, MODE, OBSTACLES, PLAN, SCAN, TREE,
+    EDGE_INFO, GOAL_STATE, GRAPH, LIDAR_SCAN, MAP, MAP_PATCH, MARKER, MISSION, MODE, MOTION, OBSTACLES, PLAN, SCAN,
+    TREE,
 };
 
 /// Most queued map patches; when more arrive at once, the whole map is requested.
@@ -79,6 +80,8 @@ async fn listen(bus: Bus, hub: &Hub, robot: &str) -> Result<(), BusError> {
     let mut markers = bus.subscribe(&MARKER, &chunks, 16)?;
     let mut obstacles = bus.latest(&OBSTACLES, &chunks)?;
     let mut trees = bus.latest(&TREE, &chunks)?;
+    // All of them: which answer the mission drives is known only from its plan.
+    let mut motions = bus.subscribe(&MOTION, &chunks, 64)?;
     let mut graphs = bus.latest(&GRAPH, &chunks)?;
     let mut pace = interval(Duration::from_secs_f64(1.0 / hub.settings().live_hz));
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -111,6 +114,11 @@ async fn listen(bus: Bus, hub: &Hub, robot: &str) -> Result<(), BusError> {
         }
         if let Some(tree) = trees.take() {
             hub.take(robot, Update::Tree(tree));
+        }
+        while let Some(record) = motions.try_next() {
+            if let Ok(answer) = record.message.answer {
+                hub.take(robot, Update::Motion(answer));
+            }
         }
         if let Some(graph) = graphs.take() {
             hub.take(robot, Update::Graph(graph));

@@ -17,7 +17,7 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::trajectory::Trajectory;
-use zenav_smoothing::{Cuts, SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth_pieces};
+use zenav_smoothing::{Cuts, FreePolygon, SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth_pieces};
 use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 mod past_others;
@@ -29,6 +29,9 @@ const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
 /// Farthest that a robot may be told to move out of an obstacle, or to end beside its goal, m.
 const FARTHEST: f64 = 10.0;
+/// Most polygons of a corridor in an answer: all of a longer one are left out, so that no answer exceeds its key's size for the sake of a
+/// picture.
+const MAX_POLYGONS: usize = 256;
 /// Longest path that is smoothed, m.
 const LONGEST: f64 = 20_000.0;
 /// Wheel speeds above this multiple of the top speed, plus a margin (m/s), are taken for an error.
@@ -421,8 +424,24 @@ impl MotionWorker {
             map: map.map().clone(),
             trajectory: trajectory.rounded(),
             statistics: smoothed.statistics,
+            corridor: corners(&smoothed.corridor),
         }
     }
+}
+
+/// The corners of a corridor's polygons, rounded to millimetres.
+fn corners(corridor: &[FreePolygon]) -> Vec<Vec<Point2<f64>>> {
+    if corridor.len() > MAX_POLYGONS {
+        return Vec::new();
+    }
+    let milli = |value: f64| (1e3 * value).round() / 1e3 + 0.0;
+    let polygons = corridor
+        .iter()
+        .map(FreePolygon::corners)
+        .filter(|corners| !corners.is_empty());
+    polygons
+        .map(|corners| corners.iter().map(|corner| corner.map(milli)).collect())
+        .collect()
 }
 
 /// Radii of the discs to plan for when a polygon's path cannot be driven: halfway to the circumscribed radius, then the circumscribed

@@ -5,7 +5,7 @@
 //! | `bus` | what does the typed bus cost, compared with raw Zenoh? |
 //! | `drive` | `zenav bench drive`: how well does zenav drive, compared with anchors? |
 //! | `suites` | the worlds (generated in code, from seeds) |
-//! | `anchors` | reference planners (dynamic windows, ORCA, and a planner that knows the future) |
+//! | `anchors` | how does a reference driver get on in the same worlds? |
 
 mod anchors;
 mod bus;

@@ -325,6 +325,12 @@ pub struct SmoothReply {
     pub trajectory: Trajectory,
     /// Status, times, certificate.
     pub statistics: PlanStatistics,
+    /// The corridor that the certificate counts, for display: convex polygons that are free for the robot's centre, each with its corners
+    /// counter-clockwise, map frame, m, to the millimetre. Straight parts have none; all are left out if they are more than 256. A
+    /// [`Plan`](super::Plan) does not carry them: the robot does not need them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<Vec<[f64; 2]>>"))]
+    pub corridor: Vec<Vec<Point2<f64>>>,
 }
 
 /// A motion worker's request and answer, sufficient to reproduce the computation.

@@ -464,6 +464,7 @@ async fn motion(mut requests: Server<MotionRequest, MotionReply>) {
                 status: "unsmoothed".to_owned(),
                 ..PlanStatistics::default()
             },
+            corridor: Vec::new(),
         };
         let plan = PlanReply {
             map: wanted.plan.map.clone(),

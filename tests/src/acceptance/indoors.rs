@@ -31,10 +31,22 @@ pub(super) fn stage(
     cloud_delay: f64,
     seed: u64,
 ) -> Result<ClosedLoop, String> {
+    stage_with(world, model()?, source, known_map, cloud_delay, seed)
+}
+
+/// The same, with a body that may differ from the model that the robot is told.
+pub(super) fn stage_with(
+    world: &World,
+    body: RobotModel,
+    source: PoseSource,
+    known_map: Option<OccupancyGrid>,
+    cloud_delay: f64,
+    seed: u64,
+) -> Result<ClosedLoop, String> {
     let id = Id::robot("tiago").map_err(|error| error.to_string())?;
     let (model, start) = (model()?, world.start());
     let config = ClosedLoopConfig {
-        edge: EdgeConfig::new(id.clone(), model.clone(), start),
+        edge: EdgeConfig::new(id.clone(), model, start),
         mission: MissionConfig::new(id.clone(), "mission", "unused".into()),
         mapping: MappingSettings::default(),
         poses: PoseSettings {
@@ -46,7 +58,7 @@ pub(super) fn stage(
         cloud_delay,
         seed,
     };
-    let spec = RobotSpec { id, model, start };
+    let spec = RobotSpec { id, model: body, start };
     let simulation = Simulation::new(world, vec![spec], seed).map_err(|error| error.to_string())?;
     Ok(ClosedLoop::new(simulation, vec![config]))
 }

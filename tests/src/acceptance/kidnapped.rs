@@ -17,7 +17,7 @@ use super::tracking::true_map;
 use super::worlds::{Rng, outer_walls, wall};
 
 /// The house, m.
-const HOUSE: (f64, f64) = (16.0, 10.0);
+pub(super) const HOUSE: (f64, f64) = (16.0, 10.0);
 /// Largest error of a pose that counts as right, m and rad.
 const RIGHT: (f64, f64) = (0.1, 0.035);
 /// Time after which a robot counts as never found, s.
@@ -113,7 +113,7 @@ impl Kidnapping {
 pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
     let is_mapping = source == PoseSource::Slam;
     let mut rng = Rng::new(seed, 11);
-    let world = indoors::world(&house(&mut Rng::new(seed % 8, 12)), "house")?;
+    let world = indoors::world(&House::drawn(&mut Rng::new(seed % 8, 12)).text(), "house")?;
     let start = world.start();
     let room = Footprint::Radius(indoors::model()?.footprint.circumscribed_radius() + 0.1);
     let mut free = |from: Point2<f64>, far: f64| -> Pose2 {
@@ -217,41 +217,59 @@ fn visit(stage: &mut ClosedLoop, places: &[Pose2]) -> Result<Vec<Pose2>, String>
 }
 
 /// Rooms with doors and furniture.
-fn house(rng: &mut Rng) -> String {
-    let (long, wide) = HOUSE;
-    let mut text = format!(
-        "name = \"house\"\nsize = [{}, {}]\norigin = [-0.5, -0.5]\n[start]\nx = 1.5\ny = 1.5\nyaw = 0.5\n",
-        long + 1.0,
-        wide + 1.0
-    );
-    outer_walls(&mut text, HOUSE);
-    // Two walls across, one along, each with doors.
-    for (x, door) in [(5.5, rng.between(1.0, 3.0)), (10.5, rng.between(6.0, 8.0))] {
-        wall(&mut text, (x, 0.0), (x, door));
-        wall(&mut text, (x, door + 1.2), (x, wide));
-    }
-    let y = rng.between(4.5, 5.5);
-    for (from, to) in [(0.0, 5.5), (5.5, 10.5), (10.5, long)] {
-        let door = rng.between(from + 0.5, to - 1.7);
-        wall(&mut text, (from, y), (door, y));
-        wall(&mut text, (door + 1.2, y), (to, y));
-    }
-    let mut boxes = String::new();
-    for _ in 0..14 {
-        let (x, y) = (rng.between(0.3, long - 1.0), rng.between(0.3, wide - 1.0));
-        let (w, h) = (rng.between(0.2, 0.8), rng.between(0.2, 0.8));
-        // The start stays free.
-        if x < 3.0 && y < 3.0 {
-            continue;
-        }
-        let _ = write!(
-            boxes,
-            "[[polygon]]\npoints = [[{x}, {y}], [{}, {y}], [{}, {}], [{x}, {}]]\n",
-            x + w,
-            x + w,
-            y + h,
-            y + h
+pub(super) struct House {
+    /// The world file without furniture.
+    rooms: String,
+    /// Low corner of each piece of furniture, its length and its width, m.
+    pub(super) boxes: Vec<[f64; 4]>,
+}
+
+impl House {
+    /// A random house.
+    pub(super) fn drawn(rng: &mut Rng) -> Self {
+        let (long, wide) = HOUSE;
+        let mut rooms = format!(
+            "name = \"house\"\nsize = [{}, {}]\norigin = [-0.5, -0.5]\n[start]\nx = 1.5\ny = 1.5\nyaw = 0.5\n",
+            long + 1.0,
+            wide + 1.0
         );
+        outer_walls(&mut rooms, HOUSE);
+        // Two walls across, one along, each with doors.
+        for (x, door) in [(5.5, rng.between(1.0, 3.0)), (10.5, rng.between(6.0, 8.0))] {
+            wall(&mut rooms, (x, 0.0), (x, door));
+            wall(&mut rooms, (x, door + 1.2), (x, wide));
+        }
+        let y = rng.between(4.5, 5.5);
+        for (from, to) in [(0.0, 5.5), (5.5, 10.5), (10.5, long)] {
+            let door = rng.between(from + 0.5, to - 1.7);
+            wall(&mut rooms, (from, y), (door, y));
+            wall(&mut rooms, (door + 1.2, y), (to, y));
+        }
+        let boxes = (0..14).map(|_| {
+            let (x, y) = (rng.between(0.3, long - 1.0), rng.between(0.3, wide - 1.0));
+            [x, y, rng.between(0.2, 0.8), rng.between(0.2, 0.8)]
+        });
+        Self {
+            // The start stays free.
+            boxes: boxes.filter(|[x, y, ..]| *x >= 3.0 || *y >= 3.0).collect(),
+            rooms,
+        }
     }
-    text + &boxes
+
+    /// The world file.
+    pub(super) fn text(&self) -> String {
+        let mut text = self.rooms.clone();
+        for [x, y, w, h] in &self.boxes {
+            // Writing to a string does not fail.
+            let _ = write!(
+                text,
+                "[[polygon]]\npoints = [[{x}, {y}], [{}, {y}], [{}, {}], [{x}, {}]]\n",
+                x + w,
+                x + w,
+                y + h,
+                y + h
+            );
+        }
+        text
+    }
 }

@@ -7,6 +7,7 @@
 //! | [`worlds`] | random worlds, and the seeded random numbers that they are drawn with |
 //! | [`pose`] | consistency of the pose estimate (NEES, NIS) |
 //! | [`closure`] | a loop closure that moves the map while the robot drives |
+//! | [`corrections`] | localisation in a changed house, and the robot that it corrects over a bad link |
 //! | [`everywhere`] | global localisation |
 //! | [`tracking`] | path error of every tracker |
 //! | [`footprint`] | size, processor time, memory and lateness of the robot's binary |
@@ -22,6 +23,7 @@
 
 mod benign;
 pub mod closure;
+pub mod corrections;
 pub mod everywhere;
 pub mod faults;
 pub mod fleet;

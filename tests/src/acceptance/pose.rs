@@ -74,7 +74,8 @@ const MATCHED: Mismatch = Mismatch {
     gps_noise: 1.0,
 };
 
-const ON_TIME: Conditions = Conditions {
+/// All sensors work, and the filter's assumptions hold.
+pub(super) const ON_TIME: Conditions = Conditions {
     name: "all sensors",
     gps_latency: 0.0,
     imu_latency: 0.0,
@@ -211,7 +212,7 @@ fn known_start() -> EstimatorSettings {
 
 impl Conditions {
     /// The robot's body: its errors are drawn from the filter's priors, but for the mismatch.
-    fn body(&self, believed: &RobotModel, priors: &EstimatorSettings, rng: &mut Rng) -> RobotModel {
+    pub(super) fn body(&self, believed: &RobotModel, priors: &EstimatorSettings, rng: &mut Rng) -> RobotModel {
         let mut model = believed.clone();
         let errors = &mut model.drive.errors;
         errors.wheel_radius = [0.0; 2].map(|_| self.mismatch.wheels + priors.radius_std * rng.gauss());

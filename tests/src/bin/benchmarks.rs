@@ -40,6 +40,7 @@ const RUNS: &[Run] = runs! {
     "localise": "Localisation from random places without a guess", "acceptance localise 1000 --seed 1001";
     "kidnapped": "Robots that are carried away while they drive in a known map", "acceptance kidnapped 260 1001";
     "kidnapped_slam": "Robots that are carried away while they map", "acceptance kidnapped 60 1001 --slam";
+    "corrections": "Localisation in changed houses, and robots that it corrects over a bad link", "acceptance corrections 20 1001";
     "closure": "A loop closure that moves the map by a metre under a driving robot", "acceptance closure 20 11";
     "track": "Path error of the trackers", "acceptance track";
     "economy": "Energy of the fastest and the most economical drives", "acceptance economy";

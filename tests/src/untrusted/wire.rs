@@ -144,6 +144,7 @@ fn show(bytes: &[u8], encoding: Encoding) {
         read(bytes, encoding, &topics::MARKER).map(Update::Marker),
         read(bytes, encoding, &topics::OBSTACLES).map(Update::Obstacles),
         read(bytes, encoding, &topics::TREE).map(Update::Tree),
+        codec::decode(bytes, encoding, MAX_REPLY).ok().map(Update::Motion),
         read(bytes, encoding, &topics::GRAPH).map(Update::Graph),
         read(bytes, encoding, &topics::MAP_PATCH).map(Update::Patch),
         read(bytes, encoding, &topics::ANNOTATIONS).map(Update::Annotations),

@@ -12,6 +12,11 @@ const ARROWS: &[Arrows] = &[
     ("zenav-protocol", &["zenav-observability"], &["zenav-fixtures"]),
     ("zenav-sim", &["zenav-protocol"], &["zenav-fixtures"]),
     (
+        "zenav-reference-drivers",
+        &["zenav-protocol", "zenav-sim"],
+        &["zenav-fixtures"],
+    ),
+    (
         "zenav-edge",
         &["zenav-protocol", "zenav-sim", "zenav-observability"],
         &["zenav-fixtures"],
@@ -86,6 +91,7 @@ const ARROWS: &[Arrows] = &[
             "zenav-mission",
             "zenav-planning",
             "zenav-pose-graph",
+            "zenav-reference-drivers",
             "zenav-slam",
             "zenav-smoothing",
             "zenav-space",
@@ -110,6 +116,7 @@ const WALLS: &[(&str, &[&str])] = &[
     ("zenav-observability", &["zenoh", "axum", "hyper"]),
     ("zenav-protocol", &["zenoh", "zenoh-ext", "tokio"]),
     ("zenav-sim", &["zenoh", "tokio", "redb", "clarabel"]),
+    ("zenav-reference-drivers", &["zenoh", "tokio", "redb", "clarabel"]),
     ("zenav-edge", &["zenav-cloud", "redb", "clarabel", "roxmltree", "axum"]),
     (
         "zenav-behaviour-tree",

@@ -80,6 +80,7 @@ const SIGNS: &[(Effect, &[&[&str]])] = &[
 const CORES: &[&str] = &[
     "protocol",
     "sim",
+    "sim/reference_drivers",
     "edge",
     "cloud/behaviour_tree",
     "cloud/gateway",

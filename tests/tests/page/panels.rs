@@ -20,6 +20,7 @@ const LAYERS: &str = r#"
         "marker/made-up": { name: "made-up", points: [[x - 0.5, y], [x + 0.5, y]] },
         obstacles: [[x, y, 0.1, 0, 0.2]],
         plan: { trajectory_id: -1, points: points.flatMap(([px, py]) => [px, py, 0.4]), yaws: points.map(() => 0), min_clearance: 0.3, corridor_width: 0.5 },
+        corridor: { trajectory_id: -1, polygons: [[x - 0.5, y - 0.4, x + 0.5, y - 0.4, x + 0.5, y, x - 0.5, y]] },
       };
       const tell = () => {
         const heard = performance.now() / 1000;
@@ -53,7 +54,7 @@ const LAYERS: &str = r#"
         turn(layer);
         found[layer] = [differ(without, shown), differ(without, await picture(layer))];
       }
-      for (const [layer, isOld] of [["plan", "isStale"], ["swath", "isStale"], ["map", "isMapOld"]]) {
+      for (const [layer, isOld] of [["plan", "isStale"], ["corridor", "isStale"], ["swath", "isStale"], ["map", "isMapOld"]]) {
         turn(layer);
         tell();
         const fresh = await picture(layer);

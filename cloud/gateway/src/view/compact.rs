@@ -20,7 +20,7 @@ const MAX_BEAMS: usize = 1440;
 const ROUND: u32 = 32;
 
 /// A number rounded to three decimals; zero if it is not finite.
-fn milli(value: f64) -> f64 {
+pub(super) fn milli(value: f64) -> f64 {
     if value.is_finite() {
         (value * 1e3).round() / 1e3
     } else {

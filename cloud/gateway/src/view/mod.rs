@@ -5,6 +5,7 @@
 //! client costs no memory.
 
 mod compact;
+mod corridor;
 mod map_tiles;
 mod robot;
 
@@ -13,10 +14,11 @@ use std::collections::BTreeMap;
 use zenav_protocol::map_replica::PatchResult;
 use zenav_protocol::messages::{
     Annotations, EdgeState, Event, GoalState, InfoReply, Localisation, MapPatch, MapReply, Marker, MissionStatus,
-    Obstacles, Plan, PoseEstimate, PoseGraph, Scan, SearchTree,
+    MotionReply, Obstacles, Plan, PoseEstimate, PoseGraph, Scan, SearchTree,
 };
 
 use compact::{CompactGraph, CompactModel, CompactPlan, CompactPose, CompactScan, CompactTree};
+use corridor::Corridors;
 pub(crate) use map_tiles::TileCursor;
 pub(crate) use robot::{Entry, RobotView};
 
@@ -47,6 +49,8 @@ pub enum Update {
     Obstacles(Obstacles),
     /// A planner's search.
     Tree(SearchTree),
+    /// A motion worker's answer, which has the corridor of a plan.
+    Motion(MotionReply),
     /// SLAM's pose graph.
     Graph(PoseGraph),
     /// Its whole map.
@@ -119,6 +123,14 @@ impl FleetView {
         let is_a_sign_of_life = matches!(update, Update::State(_) | Update::Pose(_) | Update::Event(_));
         if is_a_sign_of_life || view.heard == 0.0 {
             view.heard = now;
+        }
+        let corridor = match &update {
+            Update::Plan(plan) => view.corridors.take_plan(plan),
+            Update::Motion(answer) => view.corridors.take_answer(answer),
+            _ => None,
+        };
+        if let Some(entry) = corridor.and_then(|corridor| Entry::new(version, now, &corridor)) {
+            view.set_detail("corridor", entry);
         }
         match update {
             Update::State(state) => {
@@ -297,6 +309,7 @@ impl FleetView {
             view.map = zenav_protocol::map_replica::MapReplica::new();
             view.map_gap = false;
             view.detail.retain(|name, _| name == "model");
+            view.corridors = Corridors::default();
             view.goals.clear();
         }
     }

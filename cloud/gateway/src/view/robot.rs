@@ -6,6 +6,8 @@ use std::sync::Arc;
 use serde::Serialize;
 use zenav_protocol::map_replica::MapReplica;
 
+use super::corridor::Corridors;
+
 /// Most goals kept; beyond that the least recently updated one is dropped.
 const MAX_GOALS: usize = 100;
 /// Most events kept; beyond that the oldest is dropped.
@@ -47,6 +49,8 @@ pub(crate) struct RobotView {
     pub(crate) summary: BTreeMap<String, Entry>,
     /// Channels sent to the clients that watch this robot: `plan`, `mission`, `scan`, …
     pub(crate) detail: BTreeMap<String, Entry>,
+    /// Its plan's corridor, and others that may become it.
+    pub(super) corridors: Corridors,
     /// Boot and number of stops of its newest state.
     pub(super) stops: Option<(String, u64)>,
     /// Goals by id.

@@ -531,6 +531,7 @@ impl Search {
                 map,
                 trajectory,
                 statistics: found,
+                ..
             }) => {
                 let path = DrivenPath {
                     points: path,

@@ -2,11 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
+use nalgebra::Vector2;
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{CoursePlace, DrivingProfile, KnownCourse, MapInfo, MapRef, MapReply};
+use zenav_protocol::polygon::{cross, edges};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::TrajectoryPoint;
+use zenav_smoothing::HalfPlane;
 
 use super::*;
 
@@ -140,6 +143,48 @@ fn one_answer_holds_the_path_and_its_trajectory_to_rest_at_the_goal() {
     assert_eq!(smooth.statistics.status, "smoothed");
     let last = smooth.trajectory.last().unwrap();
     assert!(last.pose().distance(&request.plan.goal) < 1e-6 && last.v == 0.0);
+}
+
+#[test]
+fn the_corridor_of_an_answer_holds_every_point_of_its_trajectory() {
+    let (map, request) = (hall(1.25), request("tiago", "astar"));
+    let smooth = ask(&map, &request, &Cancel::default()).smooth.unwrap();
+    let counted = smooth.statistics.certificate.corridor.unwrap().polygons;
+    assert_eq!(smooth.corridor.len(), counted);
+    // Corners are rounded to millimetres.
+    let holds = |polygon: &[Point2<f64>], point: Point2<f64>| {
+        edges(polygon).all(|edge| {
+            let along = edge.b - edge.a;
+            cross(along, point - edge.a) >= -2e-3 * along.norm()
+        })
+    };
+    for point in smooth.trajectory.iter() {
+        let is_held = smooth.corridor.iter().any(|polygon| holds(polygon, point.position()));
+        assert!(is_held, "{point:?}");
+    }
+    assert!(
+        !smooth
+            .corridor
+            .iter()
+            .any(|polygon| holds(polygon, Point2::new(3.025, 1.9))),
+        "the wall"
+    );
+}
+
+#[test]
+fn a_corridor_of_very_many_polygons_is_left_out_as_a_whole() {
+    let side = |x: f64, y: f64| HalfPlane {
+        normal: Vector2::new(x, y),
+        offset: 1.0,
+    };
+    let square = FreePolygon {
+        sides: vec![side(1.0, 0.0), side(-1.0, 0.0), side(0.0, 1.0), side(0.0, -1.0)],
+        from: Point2::origin(),
+        to: Point2::new(0.5, 0.0),
+        length: 0.5,
+    };
+    assert_eq!(corners(&vec![square.clone(); MAX_POLYGONS]).len(), MAX_POLYGONS);
+    assert!(corners(&vec![square; MAX_POLYGONS + 1]).is_empty());
 }
 
 #[test]

@@ -3,10 +3,11 @@
 use serde::Serialize;
 use tracing::subscriber::{NoSubscriber, with_default};
 use zenav_protocol::time::Stamp;
+use zenav_reference_drivers::{Field, Method};
 use zenav_sim::Truth;
 use zenav_sim::manners::Manners;
 
-use super::super::anchors::{self, Anchor, Field};
+use super::super::anchors;
 use super::super::suites::{Case, score};
 use crate::batch::progress;
 use crate::config::Layers;
@@ -31,7 +32,7 @@ pub(super) enum Driver {
     /// The robot with the longest way to its goal, without other robots in the world.
     Alone,
     #[serde(untagged)]
-    Anchor(Anchor),
+    Anchor(Method),
 }
 
 impl Driver {
@@ -39,10 +40,10 @@ impl Driver {
         match self {
             Self::Zenav => "zenav",
             Self::Alone => "zenav, alone",
-            Self::Anchor(Anchor::Standing) => "window, standing",
-            Self::Anchor(Anchor::ConstantVelocity) => "window, velocities",
-            Self::Anchor(Anchor::Orca) => "orca",
-            Self::Anchor(Anchor::AllKnowing) => "all-knowing A*",
+            Self::Anchor(Method::Standing) => "window, standing",
+            Self::Anchor(Method::ConstantVelocity) => "window, velocities",
+            Self::Anchor(Method::Orca) => "orca",
+            Self::Anchor(Method::AllKnowing) => "all-knowing A*",
         }
     }
 }
@@ -262,9 +263,9 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
         runs.iter_mut().for_each(|together| together.ideal_s = alone.time_s);
         runs.push(alone);
     }
-    for anchor in case.anchors {
+    for method in case.anchors {
         let mut watch = Watch::default();
-        let driven = anchors::drive(*anchor, case, &field, |_, truth| watch.see_people(truth))?;
+        let driven = anchors::drive(*method, case, &field, |_, truth| watch.see_people(truth))?;
         let outcome = match () {
             () if driven.referee.own_contact().is_some() => RunOutcome::Collision,
             () if driven.referee.is_reached() => RunOutcome::Reached,
@@ -273,7 +274,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
         runs.push(Run {
             scenario: case.scenario.clone(),
             name: case.name.clone(),
-            driver: Driver::Anchor(*anchor),
+            driver: Driver::Anchor(*method),
             outcome,
             reason: None,
             time_s: driven.time_s,
@@ -308,8 +309,8 @@ mod tests {
         let cases = Suite::S3.cases(&[], 0, Some(1), None).unwrap();
         let case = cases.iter().find(|case| case.name == "crossing-1-jackal-0").unwrap();
         let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), case.goal);
-        let drive = |anchor| anchors::drive(anchor, case, &field, |_, _| {}).unwrap();
-        let (first, second) = (drive(Anchor::AllKnowing), drive(Anchor::AllKnowing));
+        let drive = |method| anchors::drive(method, case, &field, |_, _| {}).unwrap();
+        let (first, second) = (drive(Method::AllKnowing), drive(Method::AllKnowing));
         assert_eq!(first.truth, second.truth);
         assert!(first.referee.is_reached() && first.referee.contacts().is_empty());
     }

@@ -32,9 +32,9 @@ use rand_pcg::Pcg64Mcg;
 use zenav_cloud::mapping::PoseSource;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_reference_drivers::Method;
 use zenav_sim::World;
 
-use super::anchors::Anchor;
 use crate::failure::Failure;
 use crate::files;
 pub(super) use barn::score;
@@ -150,7 +150,7 @@ pub(super) struct Case {
     /// Seed of all noise.
     pub seed: u64,
     /// Anchors that drive the case too, in worlds with moving discs.
-    pub anchors: &'static [Anchor],
+    pub anchors: &'static [Method],
     /// Name of the run without this one's fault.
     pub faultless: Option<String>,
     /// Time at which the lidar dies, s.
@@ -204,8 +204,8 @@ impl Case {
             poses,
             seed,
             anchors: match scenario.split(' ').next() {
-                Some("S2" | "S3") => &Anchor::ALL,
-                Some("S4") => &Anchor::OF_PEOPLE_WHO_REACT,
+                Some("S2" | "S3") => &Method::ALL,
+                Some("S4") => &Method::AMONG_PEOPLE_WHO_REACT,
                 _ => &[],
             },
             faultless: None,
@@ -306,14 +306,6 @@ fn rng(scenario: &str, seed: u64) -> Pcg64Mcg {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     });
     Pcg64Mcg::seed_from_u64(name ^ seed)
-}
-
-/// Half the width of a robot that drives straight ahead, m.
-pub(super) fn half_width(model: &RobotModel) -> f64 {
-    match &model.footprint {
-        Footprint::Radius(radius) => *radius,
-        Footprint::Polygon(corners) => corners.iter().map(|corner| corner.y.abs()).fold(0.0, f64::max),
-    }
 }
 
 /// Extent of a robot ahead of its centre and behind it, m.

@@ -6,7 +6,7 @@ use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 
 use super::floor::Floor;
-use super::{Case, Make, ends, half_width, rng};
+use super::{Case, Make, ends, rng};
 use crate::failure::Failure;
 use crate::files;
 
@@ -15,7 +15,7 @@ pub(super) fn tight(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, F
     let mut cases = Vec::new();
     for robot in robots {
         let model = files::robot(robot)?;
-        let (half, [ahead, behind]) = (half_width(&model), ends(&model));
+        let (half, [ahead, behind]) = (model.footprint.half_width(), ends(&model));
         for seed in seeds.clone() {
             for (scenario, spare) in [("S5 door +5 cm", 0.05), ("S5 door +10 cm", 0.10)] {
                 let mut rng = rng(scenario, seed);

@@ -344,7 +344,7 @@ fn difference(recorded: &Result<MotionReply, Refusal>, made: &Result<MotionReply
     match was.iter().zip(now.iter()).position(|(was, now)| was != now) {
         Some(nth) => format!("the trajectory differs from its sample {nth} of {} on", was.len()),
         None if was.len() != now.len() => format!("{} samples, recorded {}", now.len(), was.len()),
-        None => "the same trajectory, other statistics".to_owned(),
+        None => "the same trajectory, other statistics or corridor".to_owned(),
     }
 }
 

@@ -64,6 +64,12 @@ enum Run {
         #[arg(long)]
         slam: bool,
     },
+    /// Localisation in houses with moved furniture and people, and robots that it corrects late and with losses
+    Corrections {
+        runs: u64,
+        #[arg(default_value_t = 1)]
+        first_seed: u64,
+    },
     /// Global localisation from random places in an office of 100 m by 100 m, and in the given maps
     Localise {
         places: usize,
@@ -188,6 +194,7 @@ fn carry_out(run: Run) -> Verdict {
         Run::Pose { runs, first_seed } => pose::pose(runs, first_seed),
         Run::Closure { runs, first_seed } => whereabouts::closure(runs, first_seed),
         Run::Kidnapped { runs, first_seed, slam } => whereabouts::kidnapped(runs, first_seed, slam),
+        Run::Corrections { runs, first_seed } => whereabouts::corrections(runs, first_seed),
         Run::Localise { places, maps, seed } => whereabouts::localise(places, &maps, seed),
         Run::Guard { worlds, first_seed } => guard::guard(worlds, first_seed),
         Run::Replay { seed } => guard::replay(seed),

@@ -1,4 +1,4 @@
-//! Whereabouts. Loop closures under a driving robot, kidnappings, and global localisation.
+//! Whereabouts. Loop closures under a driving robot, kidnappings, global localisation, and corrections over a bad link.
 
 use std::path::PathBuf;
 
@@ -6,9 +6,19 @@ use zenav_cloud::mapping::PoseSource;
 use zenav_fixtures::{Row, thread_time};
 use zenav_localisation::LocalisationSettings;
 use zenav_mapping::read_map;
-use zenav_tests::acceptance::{closure, everywhere, kidnapped};
+use zenav_tests::acceptance::tracking::percentile;
+use zenav_tests::acceptance::{closure, corrections, everywhere, kidnapped, pose};
 
 use crate::Verdict;
+
+/// Duration of each drive with corrections over a bad link, s.
+const DRIVE_SECS: f64 = 180.0;
+/// Largest error of 95 % of the poses, m and degrees.
+const EXACT: (f64, f64) = (0.03, 0.5);
+/// Most processor time of a scan on average, s.
+const FAST: f64 = 0.5e-3;
+/// Least share of steps in which the robot's error lies in the 95 % band of its covariance.
+const CONSISTENT: f64 = 0.9;
 
 /// Runs drives with a closure of a metre, and prints each drive that the closure harmed.
 pub fn closure(runs: u64, first: u64) -> Verdict {
@@ -128,4 +138,40 @@ pub fn localise(places: usize, files: &[PathBuf], seed: u64) -> Verdict {
         good &= tally.wrong.is_empty() && tally.within(0.95) <= 1.0;
     }
     Ok(good)
+}
+
+/// Localises robots in changed houses and corrects them over a bad link; prints the errors of both, and whether the robots' covariance
+/// covers theirs.
+pub fn corrections(runs: u64, first: u64) -> Verdict {
+    let mut tally = corrections::Tally::default();
+    for seed in first..first.saturating_add(runs) {
+        corrections::drive(&mut tally, seed, DRIVE_SECS, &thread_time)?;
+    }
+    let [metres, radians] = &mut tally.errors;
+    let [half, most, worst] = [0.5, 0.95, 1.0].map(|share| percentile(metres, share));
+    let turned = percentile(radians, 0.95).to_degrees();
+    let took = tally.took.iter().sum::<f64>() / tally.took.len().max(1) as f64;
+    let [trusted, wrong, scans] = tally.trusted;
+    let (means, drives) = pose::means(&tally.nees, runs);
+    let band = pose::band(3.0, drives);
+    let (share, mean) = pose::share(&means, band);
+    println!(
+        "{runs} drives, {:.0} m: localised {half:.3} m off (median), {most:.3} m and {turned:.2} deg (95 %), {worst:.3} m at most; {trusted} of {scans} scans trusted, {wrong} of them wrong; {:.2} ms a scan; NEES in [{:.2}, {:.2}] in {:.1} % of steps, mean {mean:.2}",
+        tally.length,
+        1e3 * took,
+        band.0,
+        band.1,
+        100.0 * share,
+    );
+    for (name, value, unit) in [
+        ("error of a scan's pose, 95 %", most, "m"),
+        ("error of its heading, 95 %", turned, "deg"),
+        ("processor time of a scan, mean", 1e3 * took, "ms"),
+        ("scans without a trusted pose", (scans - trusted) as f64, ""),
+        ("trusted poses that are wrong", wrong as f64, ""),
+        ("NEES of the robot in its 95 % band", 100.0 * share, "% of steps"),
+    ] {
+        Row::new(name, value, unit).print();
+    }
+    Ok(most <= EXACT.0 && turned <= EXACT.1 && took <= FAST && wrong == 0 && share >= CONSISTENT)
 }

@@ -4,7 +4,7 @@ use nalgebra::{Point2, Vector2};
 
 /// Square cells in rows, numbered from a lower-left corner.
 #[derive(Clone, Debug)]
-pub(super) struct Cells {
+pub(crate) struct Cells {
     low: Point2<f64>,
     side: f64,
     size: [usize; 2],
@@ -12,31 +12,31 @@ pub(super) struct Cells {
 
 impl Cells {
     /// Cells of a side (m) that cover the box between two corners, m.
-    pub(super) fn new(low: Point2<f64>, high: Point2<f64>, side: f64) -> Self {
+    pub(crate) fn new(low: Point2<f64>, high: Point2<f64>, side: f64) -> Self {
         let size = [high.x - low.x, high.y - low.y].map(|length| (length / side).ceil() as usize);
         Self { low, side, size }
     }
 
     /// Number of cells.
-    pub(super) fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.size[0] * self.size[1]
     }
 
     /// Centre of a cell, m.
-    pub(super) fn center(&self, cell: usize) -> Point2<f64> {
+    pub(crate) fn center(&self, cell: usize) -> Point2<f64> {
         let (x, y) = (cell % self.size[0], cell / self.size[0]);
         self.low + Vector2::new(x as f64 + 0.5, y as f64 + 0.5) * self.side
     }
 
     /// The cell of a point; `None` outside.
-    pub(super) fn cell(&self, at: Point2<f64>) -> Option<usize> {
+    pub(crate) fn cell(&self, at: Point2<f64>) -> Option<usize> {
         let off = (at - self.low) / self.side;
         let inside = off.x >= 0.0 && off.y >= 0.0 && (off.x as usize) < self.size[0] && (off.y as usize) < self.size[1];
         inside.then(|| off.y as usize * self.size[0] + off.x as usize)
     }
 
     /// The cell so many columns and rows from another; `None` outside.
-    pub(super) fn beside(&self, cell: usize, [dx, dy]: [i64; 2]) -> Option<usize> {
+    pub(crate) fn beside(&self, cell: usize, [dx, dy]: [i64; 2]) -> Option<usize> {
         let [width, height] = self.size.map(|side| side as i64);
         let (x, y) = (cell as i64 % width + dx, cell as i64 / width + dy);
         let inside = (0..width).contains(&x) && (0..height).contains(&y);
@@ -44,7 +44,7 @@ impl Cells {
     }
 
     /// The cells of the square around a point that reaches so far to each side, m.
-    pub(super) fn around(&self, at: Point2<f64>, reach: f64) -> impl Iterator<Item = usize> + use<> {
+    pub(crate) fn around(&self, at: Point2<f64>, reach: f64) -> impl Iterator<Item = usize> + use<> {
         let span = |off: f64, size: usize| {
             [off - reach, off + reach].map(|off| ((off / self.side).max(0.0) as usize).min(size.saturating_sub(1)))
         };
@@ -55,7 +55,7 @@ impl Cells {
     }
 
     /// The cell whose centre is nearest to a point, among some.
-    pub(super) fn nearest(&self, at: Point2<f64>, is_one: impl Fn(usize) -> bool) -> Option<usize> {
+    pub(crate) fn nearest(&self, at: Point2<f64>, is_one: impl Fn(usize) -> bool) -> Option<usize> {
         let away = |cell: &usize| (self.center(*cell) - at).norm_squared();
         (0..self.count())
             .filter(|cell| is_one(*cell))
@@ -63,7 +63,7 @@ impl Cells {
     }
 
     /// The value at a point, interpolated between the values at the four nearest centres; beyond the outermost centres theirs.
-    pub(super) fn interpolate(&self, values: &[f32], at: Point2<f64>) -> f64 {
+    pub(crate) fn interpolate(&self, values: &[f32], at: Point2<f64>) -> f64 {
         let split = |off: f64, size: usize| {
             let off = (off / self.side - 0.5).clamp(0.0, (size - 1) as f64);
             let from = (off as usize).min(size.saturating_sub(2));

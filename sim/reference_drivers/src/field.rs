@@ -8,7 +8,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::Footprint;
 use zenav_sim::World;
 
-use super::cells::Cells;
+use crate::cells::Cells;
 
 /// Side of a cell, m.
 const CELL: f64 = 0.05;
@@ -17,8 +17,22 @@ const SLACK: f64 = 0.012;
 /// Greatest clearance, m: in a world without obstacles it would be infinite.
 const FAR: f64 = 100.0;
 
-/// Clearances, and distances to a goal.
-pub(in crate::bench) struct Field {
+/// Clearances in a world, and distances to a goal.
+///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_reference_drivers::Field;
+/// # use zenav_sim::World;
+/// // A wall with its end at (3, 3).
+/// let text = "size = [6, 4]\n[[wall]]\nfrom = [3, 0]\nto = [3, 3]\nthickness = 0.02\n";
+/// let world = World::from_toml(text, "wall.toml", &|_| Err("no map here".to_owned()))?;
+/// let field = Field::new(&world, 0.25, Point2::new(5.0, 1.0));
+/// let metres = field.shortest(Point2::new(1.0, 1.0));
+/// assert!((5.7..6.3).contains(&metres), "round the end of the wall: {metres} m");
+/// # Ok::<(), zenav_sim::WorldError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Field {
     cells: Cells,
     clearance: Vec<f32>,
     to_goal: Vec<f32>,
@@ -27,8 +41,11 @@ pub(in crate::bench) struct Field {
 }
 
 impl Field {
-    /// The field of a disc that drives to `goal` in a world, m.
-    pub(in crate::bench) fn new(world: &World, radius: f64, goal: Point2<f64>) -> Self {
+    /// The field of a disc of a radius (m) that drives to `goal` (map frame, m).
+    ///
+    /// Cost: one query of clearance for each cell of 5 cm, and a search over all of them.
+    #[must_use]
+    pub fn new(world: &World, radius: f64, goal: Point2<f64>) -> Self {
         let (low, high) = world.bounds();
         let cells = Cells::new(low, high, CELL);
         let point = Footprint::Radius(0.0);
@@ -75,12 +92,13 @@ impl Field {
     }
 
     /// Distance from a point to the nearest static obstacle, m: interpolated, to within a centimetre or two.
-    pub(super) fn clearance(&self, at: Point2<f64>) -> f64 {
+    pub(crate) fn clearance(&self, at: Point2<f64>) -> f64 {
         self.cells.interpolate(&self.clearance, at)
     }
 
     /// Length of the shortest path from a point to the goal, m: along the cells, then shortened by line of sight. Infinite without a path.
-    pub(in crate::bench) fn shortest(&self, from: Point2<f64>) -> f64 {
+    #[must_use]
+    pub fn shortest(&self, from: Point2<f64>) -> f64 {
         let Some(mut cell) = self.cells.cell(from).filter(|cell| self.to_goal[*cell].is_finite()) else {
             return f64::INFINITY;
         };

@@ -10,10 +10,11 @@ use std::collections::BinaryHeap;
 use nalgebra::{Point2, center};
 use zenav_sim::Simulation;
 
-use super::cells::Cells;
-use super::replay::Replay;
-use super::{Disc, Field, HORIZON};
-use crate::bench::suites::{Case, half_width};
+use crate::cells::Cells;
+use crate::driver::{Disc, HORIZON};
+use crate::field::Field;
+use crate::replay::Replay;
+use crate::task::DrivingTask;
 
 /// Side of a cell, m.
 const CELL: f64 = 0.2;
@@ -34,7 +35,7 @@ struct Reference {
 }
 
 /// Cells, steps between them, and everybody's positions.
-pub(super) struct SpaceTime {
+pub(crate) struct SpaceTime {
     cells: Cells,
     /// Duration of a step, s.
     layer: f64,
@@ -52,26 +53,26 @@ pub(super) struct SpaceTime {
 }
 
 impl SpaceTime {
-    pub(super) fn new(case: &Case, field: &Field, simulation: &Simulation, radii: &[f64]) -> Self {
-        let reach = case.model.footprint.circumscribed_radius();
-        let (low, high) = case.world.bounds();
+    pub(crate) fn new(task: &DrivingTask<'_>, field: &Field, simulation: &Simulation, radii: &[f64]) -> Self {
+        let reach = task.model.footprint.circumscribed_radius();
+        let (low, high) = task.world.bounds();
         let cells = Cells::new(low, high, CELL);
-        let start = cells.nearest(case.world.start().position(), |_| true);
-        let way = |clearance: f64| ways(&cells, case.goal, |at| field.clearance(at) >= clearance);
+        let start = cells.nearest(task.start.position(), |_| true);
+        let way = |clearance: f64| ways(&cells, task.goal, |at| field.clearance(at) >= clearance);
         let roomy = way(reach + OFF_WALLS[0]);
         let (steps, left) = if start.is_some_and(|start| roomy.1[start].is_some()) {
             roomy
         } else {
-            way(half_width(&case.model) + OFF_WALLS[1])
+            way(task.model.footprint.half_width() + OFF_WALLS[1])
         };
         Self {
-            layer: CELL * (LONGEST as f64).sqrt() / case.model.drive.top_speed(),
+            layer: CELL * (LONGEST as f64).sqrt() / task.model.drive.top_speed(),
             steps,
             left,
             cells,
-            goal: case.goal,
-            timeout: case.timeout,
-            replay: Replay::new(simulation, case.timeout + HORIZON),
+            goal: task.goal,
+            timeout: task.timeout,
+            replay: Replay::new(simulation, task.timeout + HORIZON),
             radii: radii.to_vec(),
             reach,
             reference: Reference::default(),
@@ -79,13 +80,13 @@ impl SpaceTime {
     }
 
     /// Discs of all movers at a time (s).
-    pub(super) fn walkers(&self, secs: f64) -> Vec<Disc> {
+    pub(crate) fn walkers(&self, secs: f64) -> Vec<Disc> {
         let disc = |(mover, radius): (usize, &f64)| (self.replay.at(mover, secs), *radius);
         self.radii.iter().enumerate().map(disc).collect()
     }
 
     /// Where the robot should be at a time (s).
-    pub(super) fn reference(&self, secs: f64) -> Point2<f64> {
+    pub(crate) fn reference(&self, secs: f64) -> Point2<f64> {
         let Reference { begins, points } = &self.reference;
         let share = ((secs - begins) / self.layer).max(0.0);
         let point = |index: usize| points.get(index).or(points.last()).copied().unwrap_or(self.goal);
@@ -94,7 +95,7 @@ impl SpaceTime {
     }
 
     /// Plans the path from a place on, now. Without a path the last one is kept; at first the robot stays where it is.
-    pub(super) fn plan(&mut self, simulation: &Simulation, from: Point2<f64>) {
+    pub(crate) fn plan(&mut self, simulation: &Simulation, from: Point2<f64>) {
         let now = simulation.now().as_secs();
         let mut movers = simulation.movers().enumerate();
         if movers.any(|(mover, at)| (self.replay.at(mover, now) - at).norm() > STRAYED) {

@@ -11,9 +11,11 @@ use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::Truth;
 use zenav_sim::manners::{Manners, Neighbour, Walker};
 
-use super::cost_to_go::CostToGo;
-use super::{Field, Walker as Person, stopping_speed};
-use crate::bench::suites::Case;
+use crate::cost_to_go::CostToGo;
+use crate::driver::Person;
+use crate::field::Field;
+use crate::task::DrivingTask;
+use crate::window::stopping_speed;
 
 /// Distance of the steered point ahead of the axle, m.
 const AHEAD: f64 = 0.15;
@@ -27,7 +29,7 @@ const BERTH: f64 = 0.03;
 const HORIZON: f64 = 0.5;
 
 /// Steers one robot.
-pub(super) struct Orca<'a> {
+pub(crate) struct Orca<'a> {
     model: &'a RobotModel,
     goal: Point2<f64>,
     field: &'a Field,
@@ -36,9 +38,9 @@ pub(super) struct Orca<'a> {
 }
 
 impl<'a> Orca<'a> {
-    pub(super) fn new(case: &'a Case, field: &'a Field) -> Self {
+    pub(crate) fn new(task: &DrivingTask<'a>, field: &'a Field) -> Self {
         let ahead = Vector2::new(AHEAD, 0.0);
-        let radius = match &case.model.footprint {
+        let radius = match &task.model.footprint {
             Footprint::Radius(radius) => radius + AHEAD,
             Footprint::Polygon(corners) => {
                 let distances = corners.iter().map(|corner| (corner.coords - ahead).norm());
@@ -46,15 +48,15 @@ impl<'a> Orca<'a> {
             }
         };
         Self {
-            model: &case.model,
-            goal: case.goal,
+            model: task.model,
+            goal: task.goal,
             field,
             radius,
         }
     }
 
     /// The twist among these people for the next `secs` seconds.
-    pub(super) fn choose(&self, truth: &Truth, people: &[Person], to_go: &CostToGo, secs: f64) -> Twist2 {
+    pub(crate) fn choose(&self, truth: &Truth, people: &[Person], to_go: &CostToGo, secs: f64) -> Twist2 {
         let (pose, drive) = (truth.map_from_base, &self.model.drive);
         let (axle, heading) = (pose.position(), pose.heading());
         let left = Vector2::new(-heading.y, heading.x);

@@ -9,9 +9,10 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Point2, Vector2};
 
-use super::cells::Cells;
-use super::{Disc, Field};
-use crate::bench::suites::{Case, half_width};
+use crate::cells::Cells;
+use crate::driver::Disc;
+use crate::field::Field;
+use crate::task::DrivingTask;
 
 /// Side of a cell, m.
 const CELL: f64 = 0.1;
@@ -29,7 +30,7 @@ const DIRECTIONS: u32 = 32;
 const LEAST: f32 = 1e-4;
 
 /// Costs from every place to one goal, in metres of open floor.
-pub(super) struct CostToGo {
+pub(crate) struct CostToGo {
     cells: Cells,
     goal: Point2<f64>,
     /// Clearance at which the robot just fits, and from which obstacles cost nothing, m.
@@ -40,26 +41,24 @@ pub(super) struct CostToGo {
 }
 
 impl CostToGo {
-    /// The costs in a case's world; they are infinite until [`Self::update`].
-    pub(super) fn new(case: &Case, field: &Field) -> Self {
-        let (low, high) = case.world.bounds();
+    /// The costs in a task's world; they are infinite until [`Self::update`].
+    pub(crate) fn new(task: &DrivingTask<'_>, field: &Field) -> Self {
+        let (low, high) = task.world.bounds();
         let cells = Cells::new(low, high, CELL);
-        let fits = [
-            half_width(&case.model),
-            case.model.footprint.circumscribed_radius() + KEPT,
-        ];
+        let footprint = &task.model.footprint;
+        let fits = [footprint.half_width(), footprint.circumscribed_radius() + KEPT];
         let wall = |cell| rate(field.clearance(cells.center(cell)), fits, WALL);
         Self {
             walls: (0..cells.count()).map(wall).collect(),
             costs: vec![f32::INFINITY; cells.count()],
             cells,
-            goal: case.goal,
+            goal: task.goal,
             fits,
         }
     }
 
     /// Computes the costs around people who stand.
-    pub(super) fn update(&mut self, standing: impl IntoIterator<Item = Disc>) {
+    pub(crate) fn update(&mut self, standing: impl IntoIterator<Item = Disc>) {
         let mut rates = self.walls.clone();
         for (at, radius) in standing {
             for cell in self.cells.around(at, radius + self.fits[1]) {
@@ -107,14 +106,14 @@ impl CostToGo {
     }
 
     /// Cost from a place, m; at least the straight distance.
-    pub(super) fn at(&self, place: Point2<f64>) -> f64 {
+    pub(crate) fn at(&self, place: Point2<f64>) -> f64 {
         self.cells
             .interpolate(&self.costs, place)
             .max((place - self.goal).norm())
     }
 
     /// Direction of the way from a place; zero at the goal.
-    pub(super) fn way(&self, from: Point2<f64>) -> Vector2<f64> {
+    pub(crate) fn way(&self, from: Point2<f64>) -> Vector2<f64> {
         let straight = self.goal - from;
         if straight.norm() <= AHEAD {
             return straight.try_normalize(1e-9).unwrap_or_default();

@@ -11,9 +11,10 @@ use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::{Drive, RobotModel};
 use zenav_sim::{Truth, World};
 
-use super::cost_to_go::CostToGo;
-use super::{Disc, Field, stopping_speed};
-use crate::bench::suites::Case;
+use crate::cost_to_go::CostToGo;
+use crate::driver::Disc;
+use crate::field::Field;
+use crate::task::DrivingTask;
 
 /// Time between two poses of a rollout, s.
 const STEP: f64 = 0.1;
@@ -37,9 +38,11 @@ const NEAR: (f64, f64) = (0.5, 0.2);
 const FACING: (f64, f64) = (1.0, 0.5);
 /// Cost of a rollout with contact.
 const CONTACT: f64 = 1e6;
+/// Time from a decision until the wheels brake, s.
+const LATE: f64 = 0.1;
 
 /// The dynamic window of a robot in a world.
-pub(super) struct Window<'a> {
+pub(crate) struct Window<'a> {
     model: &'a RobotModel,
     world: &'a World,
     goal: Point2<f64>,
@@ -48,7 +51,7 @@ pub(super) struct Window<'a> {
 }
 
 /// How far a rollout is from where it should be, m, and how far its last pose faces away from there, rad.
-pub(super) struct Off {
+pub(crate) struct Off {
     metres: f64,
     facing: f64,
 }
@@ -60,20 +63,20 @@ struct Limits {
 }
 
 impl<'a> Window<'a> {
-    pub(super) fn new(case: &'a Case, field: &'a Field) -> Self {
+    pub(crate) fn new(task: &DrivingTask<'a>, field: &'a Field) -> Self {
         Self {
-            model: &case.model,
-            world: &case.world,
-            goal: case.goal,
+            model: task.model,
+            world: task.world,
+            goal: task.goal,
             field,
-            reach: case.model.footprint.circumscribed_radius(),
+            reach: task.model.footprint.circumscribed_radius(),
         }
     }
 
     /// The twist with the cheapest rollout; `predict` gives everybody's disc at a time from now (s).
     ///
     /// If every rollout ends in contact, the one with the latest contact is taken.
-    pub(super) fn choose(
+    pub(crate) fn choose(
         &self,
         truth: &Truth,
         horizon: f64,
@@ -221,13 +224,19 @@ fn after_step(drive: &Drive, now: f64, wanted: f64) -> f64 {
     now + (wanted - now).clamp(-most, most)
 }
 
+/// Speed from which a robot comes to rest within a distance (m), m/s.
+pub(crate) fn stopping_speed(drive: &Drive, distance: f64) -> f64 {
+    let rate = drive.acceleration();
+    rate * ((LATE * LATE + 2.0 * distance / rate).sqrt() - LATE).max(0.0)
+}
+
 /// How far a pose faces away from a direction, rad; less over the last metres.
 fn facing_away(pose: &Pose2, direction: Vector2<f64>, left: f64) -> f64 {
     wrap_angle(direction.y.atan2(direction.x) - pose.yaw).abs() * (left / FACING.1).min(1.0)
 }
 
 /// Driving to the goal: the mean cost to go of a rollout.
-pub(super) fn approach(poses: &[Pose2], to_go: &CostToGo) -> Off {
+pub(crate) fn approach(poses: &[Pose2], to_go: &CostToGo) -> Off {
     let sum: f64 = poses.iter().map(|pose| to_go.at(pose.position())).sum();
     let facing = poses.last().map_or(0.0, |last| {
         let at = last.position();
@@ -240,7 +249,7 @@ pub(super) fn approach(poses: &[Pose2], to_go: &CostToGo) -> Off {
 }
 
 /// Following positions at given times (s): the mean distance of a rollout from them.
-pub(super) fn follow(poses: &[Pose2], reference: impl Fn(f64) -> Point2<f64>) -> Off {
+pub(crate) fn follow(poses: &[Pose2], reference: impl Fn(f64) -> Point2<f64>) -> Off {
     let off = |(step, pose): (usize, &Pose2)| reference(STEP * (step + 1) as f64) - pose.position();
     let sum: f64 = poses.iter().enumerate().map(|each| off(each).norm()).sum();
     let last = poses.iter().enumerate().next_back();
@@ -251,7 +260,7 @@ pub(super) fn follow(poses: &[Pose2], reference: impl Fn(f64) -> Point2<f64>) ->
 }
 
 /// Getting away from a place, in any direction, as in a recovery.
-pub(super) fn escape(poses: &[Pose2], from: Point2<f64>) -> Off {
+pub(crate) fn escape(poses: &[Pose2], from: Point2<f64>) -> Off {
     Off {
         metres: poses.last().map_or(0.0, |last| -(last.position() - from).norm()),
         facing: 0.0,
