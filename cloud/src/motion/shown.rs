@@ -9,7 +9,7 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
     MapRef, MotionRecord, MotionReply, MotionRequest, PlanOutcome, PlanReply, Refusal, SearchTree, TrajectoryReply,
 };
-use zenav_protocol::topics::{MOTION, Qos, TREE, Topic};
+use zenav_protocol::topics::{MOTION, TREE, Topic};
 use zenav_space::Zones;
 
 use super::worker::MotionWorker;
@@ -28,7 +28,7 @@ pub(super) struct Work {
     pub(super) cut_short: bool,
 }
 
-/// Publishes completed requests.
+/// Publishes completed requests to whoever subscribes.
 pub(super) struct Shown {
     clock: Clock,
     worker: Id,
@@ -117,7 +117,7 @@ impl<T: Serialize> Watched<T> {
         }
     }
 
-    /// The robot's publisher, if there may be subscribers, or late ones get what was published before. A new publisher cannot know yet.
+    /// The robot's publisher, if there may be subscribers. A new publisher cannot know yet.
     fn publisher(&mut self, robot: &str) -> Option<&Publisher<T>> {
         if !self.publishers.contains_key(robot) {
             if self.publishers.len() >= MAX_SHOWN {
@@ -131,9 +131,6 @@ impl<T: Serialize> Watched<T> {
                 }
             }
         }
-        let is_kept = self.topic.qos != Qos::Latest;
-        self.publishers
-            .get(robot)
-            .filter(|publisher| is_kept || publisher.may_be_heard())
+        self.publishers.get(robot).filter(|publisher| publisher.may_be_heard())
     }
 }

@@ -124,7 +124,7 @@ pub fn drive(tally: &mut Tally, seed: u64, secs: f64, clock: &dyn Fn() -> Durati
     };
     let mut truths = Truths::default();
     let mut matcher = Matcher::new(&map);
-    let (mut ticks, mut goals) = (0_u64, 0);
+    let (mut ticks, mut goals, mut told) = (0_u64, 0, None::<PoseEstimate>);
     while stage.now().as_secs() < secs {
         if stage.robots[0].goal().is_none_or(|goal| goal.state.is_end()) && ticks.is_multiple_of(50) {
             goals += 1;
@@ -142,9 +142,12 @@ pub fn drive(tally: &mut Tally, seed: u64, secs: f64, clock: &dyn Fn() -> Durati
                 link.send(now, correction);
             }
         }
-        let newest = poses.last().filter(|_| ticks.is_multiple_of(STEP));
-        if let Some(pose) = newest.filter(|_| now.as_secs() > SETTLED) {
-            tally.compare((ticks / STEP) as usize, pose, &truths);
+        told = poses.into_iter().next_back().or(told);
+        if let Some(told) = told
+            .as_ref()
+            .filter(|_| ticks.is_multiple_of(STEP) && now.as_secs() > SETTLED)
+        {
+            tally.compare((ticks / STEP) as usize, told, &truths);
         }
     }
     tally.length += stage.truth(0).length;
