@@ -338,12 +338,9 @@ impl PartArgs {
 pub fn up(args: &UpArgs) -> Outcome {
     let layers = Layers::load(args.file.as_deref())?;
     args.known.check_files(&layers, CloudPart::All)?;
-    if args.model.is_none() {
-        layers.check_models(layers.deployment.robots.keys())?;
-    }
-    let world = layers.world(args.world.as_deref())?;
     let mut deployment = layers.deployment.clone();
-    replace_models(&mut deployment, args.model.as_deref())?;
+    replace_models(&layers, &mut deployment, args.model.as_deref())?;
+    let world = layers.world(args.world.as_deref())?;
     if !args.listen.is_empty() {
         deployment.router.listen = args.listen.iter().map(|endpoint| with_free_port(endpoint)).collect();
         deployment.bus.connect.clone_from(&deployment.router.listen[0]);
@@ -426,17 +423,18 @@ pub fn up(args: &UpArgs) -> Outcome {
     ended.outcome()
 }
 
-/// Replaces the model of every robot, if another one is named.
+/// Replaces the model of every robot, if another one is named, and checks the models before anything starts.
 ///
 /// # Errors
-/// No robot file or shipped robot of this name, or one that is wrong.
-fn replace_models(deployment: &mut Deployment, model: Option<&str>) -> Result<(), Failure> {
-    let Some(model) = model else { return Ok(()) };
-    files::robot(model)?;
-    for robot in deployment.robots.values_mut() {
-        model.clone_into(&mut robot.model);
+/// No robot file or shipped robot of this name, or one that is wrong; as [`Layers::check_models`].
+fn replace_models(layers: &Layers, deployment: &mut Deployment, model: Option<&str>) -> Result<(), Failure> {
+    if let Some(model) = model {
+        files::robot(model)?;
+        for robot in deployment.robots.values_mut() {
+            model.clone_into(&mut robot.model);
+        }
     }
-    Ok(())
+    layers.check_models(deployment)
 }
 
 /// The endpoint with port 0 replaced by a port that is free now: all parts have to know it.
@@ -557,12 +555,9 @@ pub fn router(args: &RouterArgs) -> Outcome {
 pub fn edge(args: &EdgeArgs) -> Outcome {
     let layers = Layers::load(args.part.deployment.as_deref())?;
     let mut deployment = args.part.over(layers.deployment.clone())?;
-    if args.model.is_none() {
-        layers.check_models(deployment.robots.keys())?;
-    }
+    replace_models(&layers, &mut deployment, args.model.as_deref())?;
     deployment.simulation.speed = args.speed.unwrap_or(deployment.simulation.speed);
     deployment.simulation.seed = args.seed.unwrap_or(deployment.simulation.seed);
-    replace_models(&mut deployment, args.model.as_deref())?;
     for section in deployment.robots.values_mut() {
         section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
         section.attach |= args.attach || args.attach_to.is_some();
@@ -612,17 +607,34 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::config;
 
     #[test]
     fn another_model_is_for_every_robot_and_an_unknown_one_is_refused_with_the_names_that_there_are() {
-        let mut deployment = config::load(None).unwrap();
-        replace_models(&mut deployment, None).unwrap();
+        let layers = Layers::load(None).unwrap();
+        let mut deployment = layers.deployment.clone();
+        replace_models(&layers, &mut deployment, None).unwrap();
         assert_eq!(deployment.robots["tiago"].model, "tiago");
-        replace_models(&mut deployment, Some("jackal+rear_lidar")).unwrap();
+        replace_models(&layers, &mut deployment, Some("jackal+rear_lidar")).unwrap();
         assert_eq!(deployment.robots["tiago"].model, "jackal+rear_lidar");
-        let refused = replace_models(&mut deployment, Some("jackel")).unwrap_err();
+        let refused = replace_models(&layers, &mut deployment, Some("jackel")).unwrap_err();
         assert_eq!(refused.code, exit_code::NOT_FOUND);
         assert!(refused.message.contains("jackal"), "{refused}");
+    }
+
+    #[test]
+    fn a_setting_that_does_not_suit_another_model_is_told_with_its_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, slow) = (folder.path().join("mine.toml"), folder.path().join("slow.toml"));
+        let text = "[robots.a]\nmodel = \"tiago\"\n[robots.a.edge.collision_monitor]\nrest_after_silence = 0.5\n";
+        std::fs::write(&file, text).unwrap();
+        std::fs::write(&slow, "[lidar]\nrate_hz = 1.0\n").unwrap();
+        let layers = Layers::load(Some(&file)).unwrap();
+        let mut deployment = layers.deployment.clone();
+        replace_models(&layers, &mut deployment, None).unwrap();
+        let model = format!("tiago+{}", slow.display());
+        let refused = replace_models(&layers, &mut deployment, Some(&model)).unwrap_err();
+        let told = "mine.toml:4: `robots.a.edge.collision_monitor.rest_after_silence` is 0.5: expected at least 1.33 s";
+        assert_eq!(refused.code, exit_code::USAGE);
+        assert!(refused.message.contains(told), "{refused}");
     }
 }

@@ -30,9 +30,9 @@ use zenav_protocol::readings::Readings;
 /// # Ok::<(), BodyError>(())
 /// ```
 pub trait Body: Send {
-    /// The readings of this control tick; the last ones again if there are no others, but for at most 0.1 s: then the caller brakes. Those
-    /// from before the last ones are refused, and those far ahead of them until several in a row continue from there
-    /// ([`BodyClock`](crate::body_clock::BodyClock)). A simulated body first advances its world by one tick.
+    /// The readings of this control tick; the last ones again if there are no others, but for at most 0.2 s, or two ticks if those are
+    /// longer: then the caller brakes. Those from before the last ones are refused, and those far ahead of them until several in a row
+    /// continue from there ([`BodyClock`](crate::body_clock::BodyClock)). A simulated body first advances its world by one tick.
     ///
     /// # Errors
     /// [`BodyError`] when the hardware does not answer; the caller brakes and tries again at the next tick.

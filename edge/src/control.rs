@@ -111,6 +111,11 @@ impl StampJudge {
     }
 }
 
+/// Longest wall time for which the body may repeat its last readings: two ticks at least, since even a single repetition comes a tick later.
+fn longest_repeat(tick: f64, speed: f64) -> Duration {
+    Duration::from_secs_f64(LONGEST_REPEAT.max(2.0 * tick) / speed)
+}
+
 /// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, s; `speed` is the rate of its time
 /// against wall time.
 pub(crate) fn run(
@@ -124,7 +129,7 @@ pub(crate) fn run(
     let mut body = Wheels(body);
     let mut stamps = StampJudge {
         clock: (!body.0.judges_stamps()).then_some(clock),
-        longest_repeat: Duration::from_secs_f64(LONGEST_REPEAT / speed),
+        longest_repeat: longest_repeat(tick, speed),
         renewed: None,
     };
     let period = Duration::from_secs_f64(tick / speed);
@@ -327,7 +332,7 @@ mod tests {
     #[tokio::test]
     async fn a_robot_whose_body_repeats_its_last_readings_for_too_long_stands_still_and_says_why() {
         let hangs = |nth: u32| time(2.0, nth.min(READINGS[0]));
-        // At this rate the time allowed is a tenth of a microsecond of wall time, less than any step of the loop takes.
+        // At this rate the time allowed is a fifth of a microsecond of wall time, less than any step of the loop takes.
         let ([_, after], handoff) = driven(hangs, 1e6);
         assert!(after.iter().all(|wheels| *wheels == [0.0; 2]), "{after:?}");
         let fault = fault(&handoff).await;
@@ -335,9 +340,16 @@ mod tests {
             fault.as_ref().is_some_and(|why| why.contains("no new ones")),
             "{fault:?}"
         );
-        // And here it is 100 s: more than all of them together.
+        // And here it is 200 s: more than all of them together.
         let ([_, after], _) = driven(hangs, 1e-3);
         assert!(after.iter().take(20).any(|wheels| *wheels != [0.0; 2]), "{after:?}");
+    }
+
+    #[test]
+    fn a_body_may_repeat_its_readings_for_two_ticks_however_long_they_are() {
+        for (tick, speed, secs) in [(TICK, 1.0, 0.2), (0.25, 1.0, 0.5), (0.25, 10.0, 0.05)] {
+            assert_eq!(longest_repeat(tick, speed), Duration::from_secs_f64(secs));
+        }
     }
 
     #[test]

@@ -9,10 +9,12 @@ const SHOWN = 30;
 const SIGNS = {
   Accepted: ["…", "goal-text"], Succeeded: ["✓", "good-text"], Aborted: ["✗", "bad-text"], Canceled: ["–", "soft-text"], Rejected: ["✗", "bad-text"],
 };
+/** How the end of a goal is told, and as what kind of note. */
+const ENDS = { Succeeded: ["reached", "good"], Aborted: ["failed", "bad"], Canceled: ["cancelled", ""] };
 let drawn = "";
 let again;
-/** Goals that were open when they were drawn last. */
-let open = new Set();
+/** Robots and goals whose end was not seen yet. It outlasts the list of goals, which begins anew after a lost link. */
+const open = new Set();
 
 export function titleOf(goal) {
   const { request } = goal;
@@ -124,14 +126,16 @@ function drawActive(goal) {
   pause.onclick = () => attempt(paused ? "Not resumed" : "Not paused", () => (paused ? resumeGoal : pauseGoal)(store.watched, goal.id));
 }
 
-/** Tells of goals that have ended since; a cancelled one was told by whoever did it. */
+/** Tells of goals that have ended since. */
 function tellEnds() {
-  for (const id of open) {
-    const goal = store.goals.get(id);
-    if (goal?.state === "Succeeded") toast(`Goal reached: ${titleOf(goal)}`, "good");
-    if (goal?.state === "Aborted") toast(`Goal failed: ${titleOf(goal)}: ${goal.reason ?? "no reason given"}`, "bad");
+  for (const goal of store.goals.values()) {
+    const key = `${store.watched} ${goal.id}`;
+    if (!Number.isFinite(goal.ended)) open.add(key);
+    else if (open.delete(key) && ENDS[goal.state]) {
+      const [end, kind] = ENDS[goal.state];
+      toast([`Goal ${end}`, titleOf(goal), goal.reason].filter(Boolean).join(": "), kind);
+    }
   }
-  open = new Set([...store.goals.values()].filter((goal) => !Number.isFinite(goal.ended)).map((goal) => goal.id));
 }
 
 export function drawGoals() {

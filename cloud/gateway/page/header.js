@@ -129,7 +129,7 @@ function drawBadges() {
   const holder = !lease.live ? "nobody" : lease.role !== "operator" ? lease.holder ?? "nobody" : mine ? "this page" : "operator";
   badge("lease", holder, (lease.live ? (lease.role === "operator" ? "warn" : "good") : "warn") + old,
     `Who may command the robot: ${lease.live ? `${lease.holder}, ${lease.role}, epoch ${lease.epoch}` : "nobody holds the lease"}`, "in command");
-  if (store.isMapOld()) badge("map", `map of ${age(store.age("parts"))}`, `warn${old}`, "The robot's mapping service is gone: the map is as it was then");
+  if (store.isMapOld()) badge("map", `map from ${age(store.mapAge())}`, `warn${old}`, "The robot's mapping service is gone: the map is as it was then");
   else unbadge("map");
 }
 
@@ -152,22 +152,25 @@ function fitBadges() {
   }
 }
 
-/** What the robot itself reports as out of order, in words; null if nothing is. */
-function faultOf(state) {
-  const { body, storage, lidar } = state?.faults ?? {};
-  if (body) return `gets no readings from its body: ${body}`;
-  if (storage) return `cannot store its epoch and stop: ${storage}`;
-  return lidar ? `drives slowly: ${lidar}` : null;
+/** What the robot reports about its body and its storage that does not work, in words; empty if both do. */
+function damageOf(state) {
+  const { body, storage } = state?.faults ?? {};
+  return [
+    body && `gets no readings from its body: ${body}`,
+    storage && `cannot save its lease epoch or its stop: a restart forgets them (${storage})`,
+  ].filter(Boolean).join("; it ");
 }
 
 function drawBanner() {
   const state = store.data("state");
   const banner = $("banner");
   const robot = store.watched ?? "the robot";
+  // Part of every banner: a stop that a restart forgets does not last until somebody resumes the robot.
+  const damage = store.socket === "open" ? damageOf(state) : "";
   const say = (text, bad, old = "") => {
     banner.hidden = false;
     banner.className = bad ? "bad" : "";
-    setText(banner.firstElementChild, text);
+    setText(banner.firstElementChild, [text, damage && `${robot} ${damage}.`].filter(Boolean).join(" "));
     setText(banner.lastElementChild, old);
   };
   const last = Number.isFinite(store.age("state")) ? `Last state: ${age(store.age("state"))}.` : "";
@@ -179,7 +182,8 @@ function drawBanner() {
   else if (state && kind === "bad") say(`${capital(link)}.`, true, last);
   else if (state?.mode === "stopped") say(`${robot} is stopped until somebody resumes it.`, true);
   else if (astray()) say(`${robot} is ${astray()}. It follows no plan until it is localised: set its pose on the map (P).`, true);
-  else if (faultOf(state)) say(`${robot} ${faultOf(state)}`, Boolean(state.faults.body || state.faults.storage));
+  else if (damage) say("", true);
+  else if (state?.faults?.lidar) say(`${robot} drives slowly: ${state.faults.lidar}`, false);
   else if (state?.guard === "stop" && state.mode !== "idle") say("The collision monitor holds the robot: an obstacle is too close.", false);
   else banner.hidden = true;
   const next = kind === "bad" ? link : "";

@@ -381,11 +381,11 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
   if (store.raster.spec) {
     context.globalAlpha = store.isMapOld() || store.socket !== "open" ? 0.5 : 1;
     if (on("map")) drawPicture(context, camera, store.raster.canvas, store.raster.spec);
-    context.globalAlpha = 1;
     if (on("clearance")) {
       const { picture, spec } = store.raster.clearancePicture();
       drawPicture(context, camera, picture, spec);
     }
+    context.globalAlpha = 1;
   }
   if (on("grid")) drawGrid(context, camera, colours);
   const detail = (name, draw) => {

@@ -115,7 +115,8 @@ function drawLegend() {
   $("legend").hidden = !plan && !layers.clearance.on;
   if (!plan) return;
   const [title, , scale, room] = $("legend-plan").children;
-  setText(title, plan.expired ? "Planned speed, plan expired" : "Planned speed");
+  const note = plan.expired ? ", plan expired" : store.isStale() ? ", as last heard" : "";
+  setText(title, `Planned speed${note}`);
   setText(scale.lastChild, `${plan.top.toFixed(2)} m/s`);
   const clearance = plan.min_clearance === null ? "" : `clearance ${plan.min_clearance.toFixed(2)} m`;
   const corridor = plan.corridor_width === null ? "" : `corridor ${plan.corridor_width.toFixed(2)} m`;

@@ -126,6 +126,11 @@ class Store extends EventTarget {
     return Boolean(this.raster.spec) && this.data("parts")?.includes("mapping") === false;
   }
 
+  /** Seconds since the mapping service was first seen to be gone. */
+  mapAge() {
+    return now() - this.channel("parts")?.left;
+  }
+
   /** Begins anew: the gateway may have been another one before. */
   hello(message) {
     this.worldPlaces = message.places ?? {};
@@ -147,8 +152,11 @@ class Store extends EventTarget {
     for (const [robot, channels] of Object.entries(message.robots)) {
       const known = this.robots.get(robot) ?? {};
       for (const [name, entry] of Object.entries(channels)) {
+        const next = heard(entry);
         if (name === "pose") known.before = known.pose;
-        known[name] = heard(entry);
+        // The list is told again whenever any part comes or goes.
+        if (name === "parts" && !next.data.includes("mapping")) next.left = known.parts?.left ?? next.heard;
+        known[name] = next;
       }
       this.robots.set(robot, known);
     }

@@ -209,6 +209,7 @@ impl SlamPoses {
             },
             session,
             change: self.changes,
+            is_whole: self.base.is_none(),
             on_disk: self.on_disk,
             scans: self.scans[self.on_disk.scans..].to_vec(),
         }))

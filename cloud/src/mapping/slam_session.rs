@@ -63,6 +63,8 @@ pub(super) struct Kept {
     pub(super) session: Snapshot,
     /// Number of the change that it leads a successor to.
     pub(super) change: u64,
+    /// Whether the whole map can be drawn from it: SLAM did not begin in the map of another mapping service.
+    pub(super) is_whole: bool,
     pub(super) on_disk: OnDisk,
     pub(super) scans: Vec<Arc<Scan>>,
 }

@@ -104,7 +104,7 @@ pub(super) fn note_term(robot: &str, folder: Option<&Path>, term: u64) -> u64 {
 }
 
 /// Notes the term in which a service leads with the map or the session that is stored in a robot's folder: as it begins with that, or
-/// once it has stored its own.
+/// once it has stored its own whole map.
 pub(super) fn note_leadership(robot: &str, folder: Option<&Path>, term: u64) {
     note_term(robot, folder, term);
     if let Some(folder) = folder
@@ -120,6 +120,11 @@ pub(super) fn is_of_last_leader(robot: &str, folder: Option<&Path>) -> bool {
         let led = noted(robot, folder, LED);
         led > 0 && led >= noted(robot, folder, TERM)
     })
+}
+
+/// Whether what is stored in a robot's folder is the whole map of the service that led in this term.
+pub(super) fn has_map_of_term(robot: &str, folder: Option<&Path>, term: u64) -> bool {
+    folder.is_some_and(|folder| noted(robot, folder, LED) == term)
 }
 
 /// The term in a file of a robot's folder; 0 if there is none.

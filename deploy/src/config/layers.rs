@@ -220,21 +220,19 @@ impl Layers {
         }
     }
 
-    /// Checks that the models of these robots exist, and that the settings suit them.
+    /// Checks that the models of a deployment made from this one exist, and that its settings suit them.
     ///
     /// # Errors
     /// As [`files::robot`], with the origin of the model; exit code 2 for a setting, with its key and origin.
-    pub(crate) fn check_models<'r>(&self, robots: impl Iterator<Item = &'r String>) -> Result<(), Failure> {
-        for name in robots {
-            if let Some(robot) = self.deployment.robots.get(name) {
-                let key = format!("robots.{name}.model");
-                let model = files::robot(&robot.model).map_err(self.at_file(&key, &robot.model))?;
-                let suits = robot.edge.check_for(&model, TICK);
-                suits.map_err(|error| {
-                    let error = error.within("edge").within(name).within("robots");
-                    Failure::usage(format!("{}: {error}", self.origin(&error.key)))
-                })?;
-            }
+    pub(crate) fn check_models(&self, deployment: &Deployment) -> Result<(), Failure> {
+        for (name, robot) in &deployment.robots {
+            let key = format!("robots.{name}.model");
+            let model = files::robot(&robot.model).map_err(self.at_file(&key, &robot.model))?;
+            let suits = robot.edge.check_for(&model, TICK);
+            suits.map_err(|error| {
+                let error = error.within("edge").within(name).within("robots");
+                Failure::usage(format!("{}: {error}", self.origin(&error.key)))
+            })?;
         }
         Ok(())
     }
@@ -599,7 +597,7 @@ mod tests {
     fn a_setting_that_does_not_suit_the_robot_is_told_with_its_line() {
         let text = "[robots.a]\nmodel = \"tiago\"\n[robots.a.edge.collision_monitor]\nrest_after_silence = 0.3\n";
         let layers = read(text, &[]).unwrap();
-        let failure = layers.check_models(layers.deployment.robots.keys()).unwrap_err();
+        let failure = layers.check_models(&layers.deployment).unwrap_err();
         let told = "mine.toml:4: `robots.a.edge.collision_monitor.rest_after_silence` is 0.3: expected at least 0.43 s";
         assert_eq!(failure.code, exit_code::USAGE);
         assert!(failure.message.contains(told), "{failure}");
@@ -674,7 +672,7 @@ mod tests {
             &[],
         )
         .unwrap();
-        let model = layers.check_models(layers.deployment.robots.keys()).unwrap_err();
+        let model = layers.check_models(&layers.deployment).unwrap_err();
         let world = layers.world(None).map(|_| ()).unwrap_err();
         for (failure, told) in [(model, "mine.toml:2: no robot"), (world, "mine.toml:4: no world")] {
             assert_eq!(failure.code, exit_code::NOT_FOUND);

@@ -7,9 +7,12 @@ use serde::Serialize;
 use serde_json::Value;
 use tokio::time::Instant;
 use zenav_protocol::bus::{Act, Bus, RawSample, RawSubscription};
+use zenav_protocol::topics;
 
 use super::meter::{Meter, Reading, bytes};
 use super::payload;
+use super::schema::json_schema;
+use super::unknown_field::has_part;
 use crate::completion;
 use crate::connect::{self, positive, seconds};
 use crate::exit_code;
@@ -44,7 +47,7 @@ pub(super) struct ListenArgs {
 pub(super) struct EchoArgs {
     #[command(flatten)]
     pub(super) listen: ListenArgs,
-    /// Print only this field of each message, such as `velocity.v`
+    /// Print only this field of each message, such as `velocity.v`; `null` where a message leaves it out
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
 }
@@ -183,6 +186,25 @@ fn part(message: &Value, path: &str) -> Result<Value, String> {
     Ok(at.clone())
 }
 
+/// The part of a sample that a path names; `null` if the message leaves it out. Whether the type of an unknown key has such a part is not
+/// known: `told` is whether that was said.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] if the type of the key's messages has no such part.
+fn part_of(sample: &RawSample, path: &str, told: &mut bool) -> Result<Value, Failure> {
+    let why = match part(&payload::value(sample), path) {
+        Ok(part) => return Ok(part),
+        Err(why) => format!("{}: {why}", sample.key),
+    };
+    match topics::row_of(&sample.key).and_then(|row| json_schema(row.message)) {
+        Some(schema) if !has_part(&schema, path) => return Err(Failure::not_found(why)),
+        Some(_) => {}
+        None if std::mem::replace(told, true) => {}
+        None => output::note(format_args!("zenav: {why}")),
+    }
+    Ok(Value::Null)
+}
+
 /// Prints messages, starting with the retained ones.
 pub(super) async fn echo(bus: &Bus, pattern: &str, args: &EchoArgs, format: Format) -> Outcome {
     let EchoArgs { listen: args, field } = args;
@@ -191,7 +213,7 @@ pub(super) async fn echo(bus: &Bus, pattern: &str, args: &EchoArgs, format: Form
     let until = args.until(Instant::now());
     let wild = pattern.contains('*') || pattern.contains('$');
     let mut messages = 0;
-    let mut hinted = false;
+    let (mut hinted, mut told) = (false, false);
     while args.count.is_none_or(|count| messages < count) {
         let sample = match next_or_hint(&mut samples, until, pattern, messages, &mut hinted).await {
             Ok(sample) => sample,
@@ -199,10 +221,7 @@ pub(super) async fn echo(bus: &Bus, pattern: &str, args: &EchoArgs, format: Form
         };
         messages += 1;
         let part = match field {
-            Some(path) => Some(
-                part(&payload::value(&sample), path)
-                    .map_err(|why| Failure::not_found(format!("{}: {why}", sample.key)))?,
-            ),
+            Some(path) => Some(part_of(&sample, path, &mut told)?),
             None => None,
         };
         match format {
@@ -369,6 +388,37 @@ mod tests {
         assert_eq!(unknown("velocity.x"), "no field `x` in `velocity.x`: there is v, w");
         assert_eq!(unknown("beams.2"), "no field `2` in `beams.2`: there is a list of 2");
         assert_eq!(unknown("plan.id"), "no field `id` in `plan.id`: there is `null`");
+    }
+
+    #[test]
+    fn a_part_that_a_message_leaves_out_is_null_and_one_that_its_type_does_not_have_is_refused() {
+        let sample = |key: &str| RawSample {
+            key: key.to_owned(),
+            bytes: br#"{"stamp":1,"plan":null}"#.to_vec(),
+            encoding: "application/json".to_owned(),
+            stamp: None,
+            deleted: false,
+        };
+        let mut told = false;
+        let state = sample("zenav/r/edge/state");
+        for (path, expected) in [
+            ("stamp", Value::from(1)),
+            ("faults.body", Value::Null),
+            ("plan.time_left", Value::Null),
+        ] {
+            assert_eq!(part_of(&state, path, &mut told).unwrap(), expected, "{path}");
+        }
+        let refused = part_of(&state, "faults.wheel", &mut told).unwrap_err();
+        assert_eq!(refused.code, exit_code::NOT_FOUND);
+        let why = "zenav/r/edge/state: no field `faults` in `faults.wheel`: there is ";
+        assert!(refused.message.starts_with(why), "{refused}");
+        assert!(!told);
+        // Of a key that is in no table.
+        let other = sample("my/lamp");
+        for _ in 0..2 {
+            assert_eq!(part_of(&other, "on", &mut told).unwrap(), Value::Null);
+            assert!(told);
+        }
     }
 
     #[test]

@@ -11,6 +11,26 @@ pub(super) fn unknown_field(schema: &Value, value: &Value) -> Option<String> {
     within(schema, &[schema], value)
 }
 
+/// Whether a value may have the part that a path names, as `zenav topic echo --field` takes it: fields, and indices of lists.
+pub(super) fn has_part(schema: &Value, path: &str) -> bool {
+    let mut parts = vec![schema];
+    for name in path.split('.') {
+        let mut forms = Vec::new();
+        for part in &parts {
+            gather(schema, part, &mut forms);
+        }
+        if forms.iter().any(|form| is_any(form)) {
+            return true;
+        }
+        let index = name.parse::<usize>().ok();
+        parts = forms
+            .into_iter()
+            .filter_map(|form| field(form, name).or_else(|| listed(form, index?)))
+            .collect();
+    }
+    !parts.is_empty()
+}
+
 /// As [`unknown_field`], for a part of a value that fits any of these parts of the schema `root`.
 fn within<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value) -> Option<String> {
     let mut forms = Vec::new();
@@ -80,13 +100,16 @@ fn has_variant(form: &Value, name: &str) -> bool {
         .any(|variant| variant.as_str() == Some(name))
 }
 
-/// Schemas of an item: of a tuple by its position, of a list the same for all. Serde also reads a struct as a list of its fields, whose
-/// order a schema does not have: an item may be any of them.
-fn item(form: &Value, index: usize) -> impl Iterator<Item = &Value> {
+/// The schema of an item: of a tuple by its position, of a list the same for all.
+fn listed(form: &Value, index: usize) -> Option<&Value> {
     let placed = form.get("prefixItems").and_then(|items| items.get(index));
+    placed.or_else(|| form.get("items"))
+}
+
+/// Schemas of an item. Serde also reads a struct as a list of its fields, whose order a schema does not have: an item may be any of them.
+fn item(form: &Value, index: usize) -> impl Iterator<Item = &Value> {
     let fields = form.get("properties").and_then(Value::as_object);
-    placed
-        .or_else(|| form.get("items"))
+    listed(form, index)
         .into_iter()
         .chain(fields.into_iter().flat_map(Map::values))
 }
@@ -143,6 +166,24 @@ mod tests {
         assert_eq!(path("MotionRequest", plan).as_deref(), Some("start.floor"));
         let event = json!({ "stamp": 1, "event": "stopped", "by": "anna", "floor": 3 });
         assert_eq!(path("Event", event).as_deref(), Some("floor"));
+    }
+
+    #[test]
+    fn a_part_that_a_message_may_leave_out_is_known_by_its_path() {
+        for (message, path, known) in [
+            ("EdgeState", "faults.body", true),
+            ("EdgeState", "plan.time_left", true),
+            ("EdgeState", "faults.wheel", false),
+            ("EdgeState", "faults.body.0", false),
+            ("Annotations", "places.sink.x", true),
+            ("Annotations", "places.sink.floor", false),
+            ("GoalRequest", "waypoints.1.x", true),
+            ("GoalRequest", "waypoints.x", false),
+            ("GoalRequest", "blackboard.any.thing", true),
+        ] {
+            let schema = json_schema(message).unwrap();
+            assert_eq!(has_part(&schema, path), known, "{message} {path}");
+        }
     }
 
     #[test]

@@ -171,7 +171,7 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
     site.browser.until(
         "the map is told to be old",
         SOON,
-        "document.querySelector('[data-id=map]')?.innerText.startsWith('map of ')",
+        "document.querySelector('[data-id=map]')?.innerText.startsWith('map from ')",
     );
     site.shoot("cloud_lost");
     site.browser.click("#stop");

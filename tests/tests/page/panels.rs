@@ -22,8 +22,14 @@ const LAYERS: &str = r#"
         plan: { trajectory_id: -1, points: points.flatMap(([px, py]) => [px, py, 0.4]), yaws: points.map(() => 0), min_clearance: 0.3, corridor_width: 0.5 },
         corridor: { trajectory_id: -1, polygons: [[x - 0.5, y - 0.4, x + 0.5, y - 0.4, x + 0.5, y, x - 0.5, y]] },
       };
+      // The robot's own messages of these names must not replace them, nor may they age while the page draws.
+      const frame = store.frame;
+      store.frame = (message) => {
+        for (const name of Object.keys(told)) delete message.detail?.[name];
+        frame.call(store, message);
+      };
       const tell = () => {
-        const heard = performance.now() / 1000;
+        const heard = performance.now() / 1000 + 60;
         for (const [name, data] of Object.entries(told)) store.detail.set(name, { data, heard });
         store.goals.set("made-up", { id: "made-up", state: "Accepted", request: { x, y } });
         store.trail.push(null, ...points);
@@ -54,7 +60,7 @@ const LAYERS: &str = r#"
         turn(layer);
         found[layer] = [differ(without, shown), differ(without, await picture(layer))];
       }
-      for (const [layer, isOld] of [["plan", "isStale"], ["corridor", "isStale"], ["swath", "isStale"], ["map", "isMapOld"]]) {
+      for (const [layer, isOld] of [["plan", "isStale"], ["corridor", "isStale"], ["swath", "isStale"], ["map", "isMapOld"], ["clearance", "isMapOld"]]) {
         turn(layer);
         tell();
         const fresh = await picture(layer);
@@ -105,13 +111,48 @@ fn each_layer_draws_what_its_name_says_and_its_switch_hides_it() {
     for (layer, bytes) in layers {
         assert!(number(&bytes[0]) > 40.0 && number(&bytes[1]) < 1.0, "{layer}: {found}");
     }
+    let _ = page.script("document.getElementById('layer-plan').click(); zenav.store.isStale = () => true");
+    page.until(
+        "the legend says that the plan is old",
+        SOON,
+        "document.getElementById('legend-plan').innerText.includes('as last heard')",
+    );
     let thrown = site.thrown();
     assert!(thrown.is_empty(), "{thrown:#?}");
 }
 
-/// A tree that waits and then fails, twice: its last node has no goal.
-const FAILS: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Fails"><RetryUntilSuccessful num_attempts="2"><Sequence>
+/// A tree that waits and then fails, five times, so that it runs for long with a failed node: its last node has no goal.
+const FAILS: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Fails"><RetryUntilSuccessful num_attempts="5"><Sequence>
     <Wait wait_duration="6.0"/><ComputePathToPose goal="{nothing}" path="{path}"/></Sequence></RetryUntilSuccessful></BehaviorTree></root>"#;
+
+/// A goal that a lost gateway takes along, and that ended meanwhile; answers the notes on the screen.
+const ENDS_UNSEEN: &str = r"
+    const { store } = zenav;
+    const known = store.goals;
+    const tell = (...goals) => {
+      store.goals = new Map(goals.map((goal) => [goal.id, goal]));
+      store.tell('frame');
+    };
+    const goal = { id: 'made-up', request: { place: 'moon' } };
+    tell({ ...goal, state: 'Active' });
+    tell();
+    tell({ ...goal, state: 'Canceled', ended: 2, reason: 'no way there' });
+    store.goals = known;
+    return document.getElementById('toasts').innerText;";
+
+/// Mapping leaves, and another part 70 s later; answers the badge of the map's age.
+const MAPPING_LEAVES: &str = r"(() => {
+    const { store } = zenav;
+    const parts = store.data('parts');
+    const tell = (data, age) => store.frame({
+      now: performance.now() / 1000 - store.ahead, connected: true, robots: { [store.watched]: { parts: { data, age } } },
+    });
+    tell(['edge', 'mission'], 70);
+    tell(['edge'], 0);
+    const told = document.querySelector('[data-id=map]')?.textContent;
+    tell(parts, 0);
+    return told;
+  })()";
 
 #[test]
 #[ignore = "needs Chromium and chromedriver; .ci/run installs them"]
@@ -155,6 +196,10 @@ fn the_panels_tell_what_failed_filter_the_events_and_plot_any_number() {
         "document.getElementById('tree-failure').innerText.includes('Last failure: goal tree sent with the goal: ComputePathToPose')",
     );
 
+    let told = page.script(ENDS_UNSEEN);
+    let told = told.as_str().unwrap_or_default();
+    assert!(told.contains("Goal cancelled: moon: no way there"), "{told}");
+
     // The tree of one robot is not the last of another.
     let left = page.script_async(
         "const done = arguments[0]; import('/page/live.js').then((live) => { \
@@ -165,7 +210,12 @@ fn the_panels_tell_what_failed_filter_the_events_and_plot_any_number() {
     page.until(
         "its robot is shown again",
         SOON,
-        &format!("{STATE} && zenav.store.detail.has('scan')"),
+        &format!("{STATE} && zenav.store.detail.has('scan') && zenav.store.raster.spec && zenav.store.data('parts')"),
+    );
+    page.until(
+        "the map's age is that of mapping's end",
+        SOON,
+        &format!("{MAPPING_LEAVES} === 'map from 1 min ago'"),
     );
 
     page.click("#tab-events");
@@ -176,11 +226,15 @@ fn the_panels_tell_what_failed_filter_the_events_and_plot_any_number() {
         SOON,
         "((rows) => rows.length && rows.every((row) => row.innerText.includes('lease')))([...document.querySelectorAll('#events li')])",
     );
+    let _ = page.script(
+        "zenav.store.events.push({ event: 'plan_discarded', reason: 'the lease ended', stamp: 1, boot_id: 'made-up', sequence: 1 })",
+    );
     page.click("#event-warn");
     page.until(
         "only warnings",
         SOON,
-        "[...document.querySelectorAll('#events li')].every((row) => ['warn', 'bad', 'empty'].includes(row.className))",
+        "((rows) => rows.every((row) => ['warn', 'bad'].includes(row.className)) && rows.some((row) => row.innerText.includes('the lease ended')))(\
+         [...document.querySelectorAll('#events li')])",
     );
 
     page.click("#tab-plots");
@@ -214,6 +268,14 @@ fn the_panels_tell_what_failed_filter_the_events_and_plot_any_number() {
         &format!(
             "({STATE}.faults = {{ lidar: 'front looks aside' }}, zenav.store.tell('frame'), \
              document.getElementById('banner').innerText.includes('tiago drives slowly: front looks aside'))"
+        ),
+    );
+    page.until(
+        "a stop that a restart forgets is not told to last",
+        SOON,
+        &format!(
+            "({STATE}.mode = 'stopped', {STATE}.faults = {{ storage: 'disk full' }}, zenav.store.tell('frame'), \
+             /is stopped .* a restart forgets them .disk full/.test(document.getElementById('banner').innerText))"
         ),
     );
 

@@ -9,7 +9,8 @@ use zenav_protocol::trajectory::Trajectory;
 
 use super::compact::milli;
 
-/// Most answers kept, as many as a worker keeps for late subscribers; beyond that the oldest is dropped.
+/// Most answers kept; beyond that the oldest is dropped. A worker keeps as many for late subscribers, but only of those that it published, and it
+/// publishes none while nobody subscribes.
 const MAX_ANSWERS: usize = 16;
 /// Most corners of a corridor; one with more is not drawn.
 const MAX_CORNERS: usize = 10_000;
@@ -35,7 +36,10 @@ pub(crate) struct Corridors {
 impl Corridors {
     /// Takes a plan; returns its corridor unless that is unknown, or was returned last.
     pub(super) fn take_plan(&mut self, plan: &Plan) -> Option<CompactCorridor<'_>> {
-        self.plan = Some((plan.trajectory_id, plan.trajectory.clone()));
+        // A renewed plan has the same trajectory.
+        if self.plan.as_ref().is_none_or(|(id, _)| *id != plan.trajectory_id) {
+            self.plan = Some((plan.trajectory_id, plan.trajectory.clone()));
+        }
         self.found()
     }
 

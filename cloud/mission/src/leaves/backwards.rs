@@ -10,9 +10,11 @@ use zenav_protocol::messages::{MotionReply, MotionRequest, PlanReply, SmoothRequ
 use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
 use super::parse_path;
+use super::path::DrivenPath;
 use crate::context::Context;
 use crate::io::{Answer, Ask};
 use crate::rig::Rig;
+use crate::route::RouteData;
 use crate::trees::build;
 
 /// A tree, and a robot at the origin that faces along x.
@@ -118,6 +120,26 @@ fn a_leg_that_is_planned_backwards_stays_so_until_it_is_driven() {
     let tracking = drive.tree.blackboard().get("tracking").unwrap().to_json();
     let error = tracking["heading_tracking_error"].as_f64().unwrap();
     assert!(error.abs() < 1e-9, "it faces away from where it drives: {error}");
+}
+
+#[test]
+fn a_reverse_leg_that_is_behind_the_robot_is_not_driven_again() {
+    let mut drive = Drive::new(r#"<FollowPath path="{cut}" tracking_feedback="{tracking}"/>"#);
+    let path = DrivenPath {
+        points: [0.0, -1.0, 12.0].map(|x| Point2::new(x, 0.0)).to_vec(),
+        backwards: vec![0],
+    };
+    let cut = RouteData {
+        driven: 1.5,
+        ..RouteData::of(path, None)
+    };
+    drive.tree.blackboard_mut().set("cut", cut.value().unwrap()).unwrap();
+    drive.rig.x = -0.5;
+    assert_eq!((drive.tick(2.0), drive.tick(2.05)), (Status::Running, Status::Running));
+    let request = drive.smooths(backs());
+    assert_eq!((along(&request.path), request.backwards), (vec![-0.5, 12.0], vec![]));
+    let tracking = drive.tree.blackboard().get("tracking").unwrap().to_json();
+    assert_eq!(tracking["remaining_path_length"].as_f64(), Some(12.5));
 }
 
 #[test]

@@ -145,6 +145,7 @@ impl Leaf<Context> for ComputePath {
                     length,
                     via,
                     frame: Some(ctx.frames.at()),
+                    driven: 0.0,
                     place: io.get("goal").ok().filter(|name| ctx.config.places.contains_key(name)),
                 };
                 let written = data

@@ -375,6 +375,7 @@ impl FollowPath {
         self.cancel_search(ctx);
         let request = RouteRequest {
             given: data.driven(),
+            driven: data.driven,
             via: data.via.clone(),
             ..RouteRequest::to(data.goal)
         };

@@ -86,7 +86,8 @@ impl DrivenPath {
     /// The point nearest to `place` between `from` and `to` m, as [`nearest`].
     ///
     /// A path with reverse legs leads back over itself. Of stretches that are equally near, the first one counts that is not driven yet: none
-    /// within the first `driven` m, and none whose end is reached if a later one is nearer.
+    /// within the first `driven` m, and none whose end is reached if a later one is nearer. If the robot is near none of them, because a
+    /// correction has set it back, it is still on the stretch that it was on.
     #[must_use]
     pub(crate) fn nearest(&self, place: Point2<f64>, from: f64, to: f64, driven: f64) -> Option<Nearest> {
         let anywhere = nearest(&self.points, place, from, to)?;
@@ -95,21 +96,29 @@ impl DrivenPath {
         }
         let begin = from.max(driven);
         let is_left = |(first, last): &(f64, f64)| *last > begin && *first <= to;
-        let near: Vec<(Nearest, bool)> = self
-            .stretches()
-            .into_iter()
+        let is_near = |near: &Nearest| near.distance <= anywhere.distance + AS_NEAR;
+        let stretches = self.stretches();
+        let near: Vec<(Nearest, bool)> = stretches
+            .iter()
+            .copied()
             .filter(is_left)
             .filter_map(|(first, last)| {
                 let near = nearest(&self.points, place, first.max(begin), last.min(to))?;
                 let is_at_end = last - near.along <= AS_NEAR.min(0.5 * (last - first));
                 Some((near, is_at_end))
             })
-            .filter(|(near, _)| near.distance <= anywhere.distance + AS_NEAR)
+            .filter(|(near, _)| is_near(near))
             .collect();
         let first = near.iter().find(|(_, is_at_end)| !is_at_end);
         let closest = near.iter().min_by(|(a, _), (b, _)| a.distance.total_cmp(&b.distance));
         let chosen = [first, closest].into_iter().flatten().map(|(near, _)| *near);
-        chosen.min_by(|a, b| a.along.total_cmp(&b.along)).or(Some(anywhere))
+        let set_back = || {
+            let mut stretches = stretches.iter().copied();
+            let (first, last) = stretches.find(|(first, last)| (*first..*last).contains(&begin))?;
+            nearest(&self.points, place, first.max(from), last.min(to)).filter(is_near)
+        };
+        let ahead = chosen.min_by(|a, b| a.along.total_cmp(&b.along));
+        ahead.or_else(set_back).or(Some(anywhere))
     }
 
     /// Its stretches between two changes of direction: begin and end of each, m. The last one has no end.
@@ -400,7 +409,10 @@ mod tests {
         for (x, driven, expected) in [(-0.9, 1.03, 1.1), (-0.91, 1.1, 1.1), (0.001, 1.9, 2.001)] {
             assert_eq!(along(&back, x, 0.0, driven), expected, "at {x}, after {driven} m");
         }
-        assert_eq!(along(&back, -0.4, 0.0, 9.0), 0.4, "it was moved");
+        // A correction sets it back on the leg that it is on, not to one that it has driven.
+        for (x, driven, expected) in [(-0.57, 1.5, 1.43), (-0.4, 9.0, 1.6)] {
+            assert_eq!(along(&back, x, 0.0, driven), expected, "at {x}, after {driven} m");
+        }
         // A leg of two centimetres counts, too.
         let short = path(&[(0.0, 0.0), (-0.02, 0.0), (12.0, 0.0)], &[0]);
         assert_eq!(along(&short, 0.001, 0.0, 0.0), 0.0);
@@ -408,6 +420,7 @@ mod tests {
         let aside = path(&[(0.0, 0.0), (4.0, 0.0), (4.0, -3.0)], &[1]);
         assert_eq!(along(&aside, 3.98, 0.0, 0.0), 3.98);
         assert_eq!(along(&aside, 4.0, -0.02, 0.0), 4.02);
+        assert_eq!(along(&aside, 1.0, 0.0, 5.0), 1.0, "it was moved off that leg");
         // Without reverse legs, the nearest point of all.
         let forwards = path(&[(0.0, 0.0), (-1.0, 0.0), (12.0, 0.0)], &[]);
         assert_eq!(along(&forwards, 0.001, 0.0, 0.0), 2.001);

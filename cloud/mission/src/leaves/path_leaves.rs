@@ -30,17 +30,21 @@ struct Pursuit {
 }
 
 impl Pursuit {
-    fn find(&mut self, sequence: u64, path: &DrivenPath, here: Pose2, reach: f64) -> Option<Nearest> {
+    fn find(&mut self, sequence: u64, data: &RouteData, here: Pose2, reach: f64) -> Option<Nearest> {
         // Also after a restart the previous position is unknown.
         let known = self.sequence.replace(sequence);
-        let driven = if known == Some(sequence) { self.along } else { 0.0 };
+        let driven = if known == Some(sequence) {
+            self.along
+        } else {
+            data.driven
+        };
         let is_bounded = known.is_some() && reach.is_finite() && reach > 0.0;
         let (from, to) = if is_bounded {
             (driven, driven + reach)
         } else {
             (0.0, f64::INFINITY)
         };
-        let found = path.nearest(here.position(), from, to, driven);
+        let found = data.driven().nearest(here.position(), from, to, driven);
         self.along = found.map_or(0.0, |near| near.along);
         found
     }
@@ -57,7 +61,7 @@ impl SyncLeaf for IsGoalNearby {
             number(io, "proximity_threshold", 1.0)?,
             number(io, "max_robot_pose_search_dist", -1.0)?,
         );
-        let found = self.0.find(io.sequence("path"), &data.driven(), here(ctx)?, reach);
+        let found = self.0.find(io.sequence("path"), &data, here(ctx)?, reach);
         Ok(match found {
             Some(near) if path::length(&data.points) - near.along < threshold => Status::Success,
             _ => Status::Failure,
@@ -84,26 +88,28 @@ impl SyncLeaf for TruncatePathLocal {
             true => pose_of(&goal_on(io, ctx, "pose")?),
             false => here(ctx)?,
         };
-        let driven = data.driven();
         let near = self
             .0
-            .find(io.sequence("input_path"), &driven, here, reach)
+            .find(io.sequence("input_path"), &data, here, reach)
             .ok_or("the robot is far from the path")?;
         let whole = path::length(&data.points);
         let from = if backward < 0.0 { 0.0 } else { near.along - backward };
         let to = if forward < 0.0 { whole } else { near.along + forward };
-        let part = driven.part(from, to);
+        let part = data.driven().part(from, to);
+        let driven = near.along - from.max(0.0);
         // A path to the same goal is still the same route.
         let cut = if to >= whole {
             RouteData {
                 length: path::length(&part.points),
                 points: part.points,
                 backwards: part.backwards,
+                driven,
                 ..data
             }
         } else {
             RouteData {
                 frame: data.frame,
+                driven,
                 ..RouteData::of(part, None)
             }
         };
@@ -122,6 +128,7 @@ impl SyncLeaf for TruncatePath {
             let whole = path::length(&data.points);
             RouteData {
                 frame: data.frame,
+                driven: data.driven,
                 ..RouteData::of(data.driven().part(0.0, whole - distance), None)
             }
         } else {
@@ -179,6 +186,7 @@ impl SyncLeaf for ConcatenatePaths {
             .collect();
         let parts = parts.ok_or(OLD_FRAME)?;
         let frame = parts.iter().find_map(|part| part.frame);
+        let behind = parts.first().map_or(0.0, |part| part.driven);
         let yaw = parts.last().ok_or("both paths are empty")?.goal.yaw;
         let mut path = DrivenPath::default();
         let mut via = Vec::new();
@@ -196,6 +204,7 @@ impl SyncLeaf for ConcatenatePaths {
         let joined = RouteData {
             via,
             frame,
+            driven: behind,
             ..RouteData::of(path, yaw)
         };
         write(io, "output_path", joined.value())

@@ -230,6 +230,7 @@ impl RouteData {
             via: Vec::new(),
             place: None,
             frame: None,
+            driven: 0.0,
         }
     }
 
@@ -404,7 +405,7 @@ mod tests {
         let stored = r#"{"route":0,"goal":{"x":1.0,"y":0.0},"points":[[0.0,0.0],[2.0,0.0],[1.0,0.0]],"length":3.0}"#;
         assert_eq!(serde_json::to_string(&path).unwrap(), stored);
         assert_eq!(parse_path(&Value::text(stored)).unwrap(), path);
-        path.backwards = vec![1];
+        (path.backwards, path.driven) = (vec![1], 2.5);
         assert_eq!(parse_path(&path.value().unwrap()).unwrap(), path);
         for bad in [vec![2], vec![1, 0], vec![1, 1], vec![usize::MAX]] {
             path.backwards = bad;

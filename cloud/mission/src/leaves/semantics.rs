@@ -270,10 +270,37 @@ fn truncate_path_local_neither_skips_a_reverse_leg_nor_returns_to_it() {
         (-0.5, (vec![(-0.5, 0.0), (-1.0, 0.0), (15.0, 0.0)], vec![0])),
         (-1.0, (vec![(-1.0, 0.0), (15.0, 0.0)], vec![])),
         (-0.5, (vec![(-0.5, 0.0), (15.0, 0.0)], vec![])),
+        // A correction sets the robot back.
+        (-0.75, (vec![(-0.75, 0.0), (15.0, 0.0)], vec![])),
     ] {
         assert_eq!(stand.at(x, 0.0).now(), Success);
         assert_eq!(stand.driven("cut"), expected, "at {x}");
     }
+}
+
+#[test]
+fn a_local_cut_tells_how_much_of_it_is_behind_the_robot_also_when_it_is_cut_again() {
+    // One metre back, then ahead over the same ground.
+    let path = path_with(&[(0.0, 0.0), (-1.0, 0.0), (15.0, 0.0)], &[0]);
+    let cut_driven = |stand: &Stand| parse_path(stand.tree.blackboard().get("cut").unwrap()).unwrap().driven;
+    // With the default of 4 m behind; to the goal or not.
+    for forward in ["-1", "8.0"] {
+        let node =
+            format!(r#"<TruncatePathLocal input_path="{{path}}" output_path="{{cut}}" distance_forward="{forward}"/>"#);
+        let mut stand = Stand::new(&node).with("path", &path);
+        for (x, driven) in [(-0.5, 0.5), (-1.0, 1.0), (-0.5, 1.5), (5.0, 4.0)] {
+            assert_eq!(stand.at(x, 0.0).now(), Success);
+            assert_eq!(cut_driven(&stand), driven, "at {x}");
+        }
+    }
+    let behind = RouteData {
+        driven: 1.5,
+        ..parse_path(&Value::text(path)).unwrap()
+    };
+    let mut again = Stand::new(r#"<TruncatePathLocal input_path="{path}" output_path="{cut}"/>"#)
+        .with("path", &serde_json::to_string(&behind).unwrap());
+    assert_eq!(again.at(-0.5, 0.0).now(), Success);
+    assert_eq!(cut_driven(&again), 1.5);
 }
 
 #[test]

@@ -47,11 +47,13 @@ pub struct Tracking {
 }
 
 impl Tracking {
-    /// Follows a path from its beginning. Returns whether it differs from the previous one.
+    /// Follows a path from where the robot is on it. Returns whether it differs from the previous one.
     pub fn follow(&mut self, data: RouteData) -> bool {
+        // The same path with more of it behind the robot is no other one.
+        let (driven, data) = (data.driven, RouteData { driven: 0.0, ..data });
         let other = self.path.as_ref() != Some(&data);
         if other {
-            (self.path, self.behind) = (Some(data), 0.0);
+            (self.path, self.behind) = (Some(data), driven);
         }
         other
     }
@@ -61,7 +63,7 @@ impl Tracking {
         let pose = ctx.robot.pose();
         let near = pose.and_then(|pose| path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY));
         self.behind = near.map_or(0.0, |near| near.along);
-        self.path = Some(data);
+        self.path = Some(RouteData { driven: 0.0, ..data });
     }
 
     /// Carries the path over to the present frame of the map.
@@ -113,5 +115,24 @@ impl Tracking {
                 .is_some_and(|near| near.along > self.behind + AT_VIA)
         };
         data.via.iter().filter(is_ahead).copied().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::path::DrivenPath;
+    use super::*;
+
+    #[test]
+    fn the_same_path_with_more_of_it_behind_the_robot_is_no_other_one() {
+        let path = RouteData::of(
+            DrivenPath::forwards(vec![Point2::origin(), Point2::new(9.0, 0.0)]),
+            None,
+        );
+        let after = |driven: f64| RouteData { driven, ..path.clone() };
+        let mut tracking = Tracking::default();
+        assert!(tracking.follow(after(2.0)));
+        assert!(!tracking.follow(after(3.0)));
+        assert_eq!(tracking.behind, 2.0);
     }
 }

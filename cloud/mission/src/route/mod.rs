@@ -108,6 +108,14 @@ pub struct RouteData {
     /// Frame of the map that the coordinates are in; without it, the present one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<u64>,
+    /// How much of the path is behind the robot, m: where a path leads back over itself, its place does not tell.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub driven: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl RouteData {

@@ -22,6 +22,8 @@ pub(crate) struct RouteRequest {
     pub from: Option<Pose2>,
     /// An existing path: it is driven if it passes the robot and is drivable.
     pub given: DrivenPath,
+    /// How much of that is behind the robot, m.
+    pub driven: f64,
     /// Whether the path is to lead past the robots that the robot gives way to.
     pub past_others: bool,
 }
@@ -35,6 +37,7 @@ impl RouteRequest {
             goal,
             from: None,
             given: DrivenPath::default(),
+            driven: 0.0,
             past_others: false,
         }
     }
@@ -44,7 +47,7 @@ impl RouteRequest {
         let whole = path::length(&self.given.points);
         let near = self
             .given
-            .nearest(here, 0.0, whole, 0.0)
+            .nearest(here, 0.0, whole, self.driven)
             .filter(|near| near.distance <= JOIN);
         let Some(near) = near else {
             self.given = DrivenPath::default();
@@ -135,5 +138,10 @@ mod tests {
         let joined = request.join_given(Point2::new(0.02, 0.0)).unwrap();
         let along: Vec<f64> = joined.points.iter().map(|point| point.x).collect();
         assert_eq!((along, joined.backwards), (vec![0.02, 0.0, -1.0, 12.0], vec![0, 1]));
+        // Once that leg is driven, it is not driven again.
+        request.driven = 1.5;
+        let joined = request.join_given(Point2::new(-0.5, 0.0)).unwrap();
+        let along: Vec<f64> = joined.points.iter().map(|point| point.x).collect();
+        assert_eq!((along, joined.backwards), (vec![-0.5, 12.0], vec![]));
     }
 }

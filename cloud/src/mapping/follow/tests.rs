@@ -188,6 +188,10 @@ impl Stage {
 
     /// Adds a place to the map.
     async fn add(&self, name: &str) -> Result<Annotations, AskError> {
+        self.add_within(name, DEADLINE).await
+    }
+
+    async fn add_within(&self, name: &str, deadline: Duration) -> Result<Annotations, AskError> {
         let add = AnnotateRequest {
             action: AnnotateAction::AddPlace {
                 name: name.into(),
@@ -200,7 +204,18 @@ impl Stage {
             request_id: Some(name.into()),
             epoch: Some(7),
         };
-        self.client.ask(&ANNOTATE, &CHUNKS, &add, DEADLINE).await
+        self.client.ask(&ANNOTATE, &CHUNKS, &add, deadline).await
+    }
+
+    /// Changes the map under the mission's lease.
+    async fn change_map(&self, action: MapAction, name: Option<&str>) {
+        let request = MapRequest {
+            action,
+            name: name.map(str::to_owned),
+            epoch: Some(7),
+            ..MapRequest::default()
+        };
+        self.client.ask(&MAP, &CHUNKS, &request, DEADLINE).await.unwrap();
     }
 
     async fn annotations(&self) -> Annotations {
@@ -392,12 +407,7 @@ async fn a_copy_in_the_leader_s_folder_goes_on_with_its_session() {
     let mut stage = Stage::new(PoseSource::Slam).await;
     let (leader, before) = stage.lead().await;
     // Stored by a request, not only every so many nodes.
-    let save = MapRequest {
-        action: MapAction::Save,
-        epoch: Some(7),
-        ..MapRequest::default()
-    };
-    stage.client.ask(&MAP, &CHUNKS, &save, DEADLINE).await.unwrap();
+    stage.change_map(MapAction::Save, None).await;
     let copy = stage.copy(0).await;
     assert!(stage.folder(0).join("slam.session").exists());
     leader.kill().await;
@@ -497,29 +507,42 @@ async fn while_a_copy_waits_for_the_robot_only_the_last_leader_s_folder_goes_bef
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_service_that_took_over_has_the_last_leader_s_folder_once_its_session_or_its_map_is_stored_there() {
-    let is_newest = |folder: &Path| storage::is_of_last_leader(ROBOT, Some(folder));
-    // SLAM stores its session unasked.
-    let (mut stage, copy, ..) = succeeded(PoseSource::Slam).await;
-    let folder = stage.folder(1);
-    stage.map(|_| is_newest(&folder)).await;
-    assert!(folder.join("slam.session").exists());
-    stage.end([copy]).await;
-
+async fn a_service_that_took_over_has_the_last_leader_s_folder_once_its_map_is_stored_there() {
     let (stage, copy, ..) = succeeded(PoseSource::Edge).await;
     let folder = stage.folder(1);
-    assert!(!is_newest(&folder), "the map that it leads with is not stored");
-    let save = |name: Option<&str>| MapRequest {
-        action: MapAction::Save,
-        name: name.map(str::to_owned),
-        epoch: Some(7),
-        ..MapRequest::default()
-    };
+    let is_newest = || storage::is_of_last_leader(ROBOT, Some(&folder));
+    assert!(!is_newest(), "the map that it leads with is not stored");
     for (name, expected) in [(Some("kitchen"), false), (None, true)] {
-        stage.client.ask(&MAP, &CHUNKS, &save(name), DEADLINE).await.unwrap();
-        assert_eq!(is_newest(&folder), expected, "saved as {name:?}");
+        stage.change_map(MapAction::Save, name).await;
+        assert_eq!(is_newest(), expected, "saved as {name:?}");
     }
     stage.end([copy]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn slam_s_session_since_a_takeover_goes_before_no_copy_of_the_map_that_was_taken_over() {
+    let (mut stage, second, _, taken_over) = succeeded(PoseSource::Slam).await;
+    let folder = stage.folder(1);
+    let is_newest = || storage::is_of_last_leader(ROBOT, Some(&folder));
+    // SLAM stores it unasked; once a request to store it is answered, it is not being stored any more.
+    let before = stage.map(|_| folder.join("slam.session").exists()).await;
+    assert_eq!(before.info.map.id, taken_over.info.map.id);
+    stage.change_map(MapAction::Save, None).await;
+    assert!(!is_newest(), "only what was drawn since the takeover is stored");
+
+    // One that shares the folder takes over the whole map, and sets that session aside.
+    let third = stage.copy(1).await;
+    second.kill().await;
+    let after = stage.map_after(&before).await;
+    assert!(kept(&before, &after) > 0.95, "{}", kept(&before, &after));
+    stage.map(|_| folder.join("slam.session.before").exists()).await;
+    stage.change_map(MapAction::Save, None).await;
+    assert!(!is_newest());
+
+    // A map of its own is whole.
+    stage.change_map(MapAction::Reset, None).await;
+    stage.map(|_| is_newest()).await;
+    stage.end([third]).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -624,6 +647,9 @@ async fn a_service_that_still_loads_its_map_leads_already() {
     let slow = stage.start_in(slow_folder.0.path(), &stage.endpoint).await;
     let loading = stage.beat(|_| true).await;
     assert_eq!(loading.map, MapRef::default());
+    // Its client gives up while the map is loaded: it must not be carried out later.
+    let given_up = stage.add_within("oven", Duration::from_millis(500)).await;
+    assert!(matches!(given_up, Err(AskError::Timeout { .. })), "{given_up:?}");
     let fast = stage.start(1).await;
     // Longer than a copy waits for a leader that is frozen.
     for _ in 0..20 {
@@ -631,6 +657,7 @@ async fn a_service_that_still_loads_its_map_leads_already() {
     }
     drop(slow_folder);
     assert_eq!(stage.beat(|beat| beat.map.revision > 0).await.name, loading.name);
+    assert!(!stage.annotations().await.places.contains_key("oven"));
     stage.shows(STANDBY).await;
     stage.end([fast, slow]).await;
 }

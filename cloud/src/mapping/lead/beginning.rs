@@ -25,7 +25,7 @@ pub(super) struct Beginning<'a> {
     pub(super) config: MappingConfig,
     /// Whether nothing can be stored, since a frozen service locks the folder.
     pub(super) is_locked_out: bool,
-    /// Whether the folder was last that of the leader before.
+    /// Whether the folder was last that of the leader before, and has its whole map.
     is_leaders_folder: bool,
 }
 
@@ -96,11 +96,9 @@ impl<'a> Beginning<'a> {
             }
             locked => locked?,
         };
-        self.is_leaders_folder = self
-            .followed
-            .leader
-            .as_ref()
-            .is_some_and(|leader| tenancy.was_of(leader));
+        let leader = self.followed.leader.as_ref().filter(|leader| tenancy.was_of(leader));
+        let (robot, folder) = (&self.config.robot, self.config.folder.as_deref());
+        self.is_leaders_folder = leader.is_some_and(|leader| storage::has_map_of_term(robot, folder, leader.term));
         Ok(tenancy)
     }
 
@@ -242,7 +240,7 @@ impl<'a> Beginning<'a> {
             if self.config.poses.source == PoseSource::Slam {
                 tracing::warn!(
                     robot = self.config.robot,
-                    "the session of SLAM that led cannot be read here: a new one begins where the robot is localised in the followed map"
+                    "no session of SLAM here has the whole map that was followed: a new one begins where the robot is localised in that map"
                 );
             }
         }

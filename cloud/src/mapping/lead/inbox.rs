@@ -11,7 +11,6 @@ pub(super) struct Waiting {
     scans: Latest<Scan>,
     further_scans: Latest<Scan>,
     states: Latest<EdgeState>,
-    requests: Requests<MappingRequest>,
 }
 
 impl Waiting {
@@ -23,7 +22,6 @@ impl Waiting {
             scans: bus.latest(&SCAN, &chunks)?,
             further_scans: bus.latest(&LIDAR_SCAN, &[robot, "*"])?,
             states: bus.latest(&STATE, &chunks)?,
-            requests: Requests::open(bus, robot)?,
         })
     }
 }
@@ -31,6 +29,7 @@ impl Waiting {
 /// All that a leader hears.
 pub(super) struct Inbox {
     waiting: Waiting,
+    requests: Requests<MappingRequest>,
     // What others are told in the name of this service.
     frames: Latest<MapFrame>,
     annotations: Latest<Annotations>,
@@ -52,7 +51,8 @@ pub(super) enum Heard {
 }
 
 impl Inbox {
-    /// Once the map, its places and zones are there.
+    /// Once the map, its places and zones are there. Only then are requests served: a change that waited for them would be carried out
+    /// after its client has given up. Clients repeat their requests until their own deadline.
     ///
     /// # Errors
     /// If the bus is closed, or a key cannot be declared.
@@ -60,6 +60,7 @@ impl Inbox {
         let chunks = [robot];
         Ok(Self {
             waiting,
+            requests: Requests::open(bus, robot)?,
             frames: bus.latest(&MAP_FRAME, &chunks)?,
             annotations: bus.latest(&ANNOTATIONS, &chunks)?,
             localisations: bus.latest(&LOCALISATION, &chunks)?,
@@ -73,12 +74,11 @@ impl Inbox {
             scans,
             further_scans,
             states,
-            requests,
         } = &mut self.waiting;
         Some(tokio::select! {
             biased;
             state = states.next() => Heard::State(Box::new(state?.message)),
-            request = requests.next() => Heard::Request(request?),
+            request = self.requests.next() => Heard::Request(request?),
             scan = scans.next(), if takes_scans => Heard::Scan(Box::new(scan?)),
             scan = further_scans.next(), if takes_scans => Heard::FurtherScan(Box::new(scan?)),
             told = self.frames.next() => Heard::Frame(told?.message),

@@ -83,6 +83,11 @@ fn the_map_that_a_copy_has_taken_over_outlives_a_closure() {
         .at(Point2::new(-19.5, 0.0))
         .map(|value| Occupancy::of(*value));
     assert_eq!(elsewhere, Some(Occupancy::Free));
+    // A session has no other map than its own.
+    assert!(!kept(&mut mapping, true).unwrap().is_whole);
+    mapping.reset("own");
+    mapping.insert(&scan(3.1), "boot");
+    assert!(kept(&mut mapping, true).unwrap().is_whole);
 }
 
 #[test]
