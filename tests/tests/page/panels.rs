@@ -258,7 +258,7 @@ fn the_panels_tell_what_failed_filter_the_events_and_plot_any_number() {
     page.until(
         "it is plotted",
         SOON,
-        "document.querySelector('#panel-plots figure:last-child canvas').ariaLabel.startsWith('mission.queued: now 0')",
+        "document.querySelector('#panel-plots figure:last-child canvas').ariaLabel?.startsWith('mission.queued: now 0')",
     );
 
     // What the robot reports as out of order.
