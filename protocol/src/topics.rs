@@ -203,6 +203,24 @@ impl<T> Topic<T> {
         Self { rate: None, ..self }
     }
 
+    /// Encodes a message in the writer's encoding.
+    ///
+    /// # Errors
+    /// [`CodecError::Unencodable`] if the encoding cannot represent the message.
+    #[cfg(feature = "bus")]
+    pub fn encode(&self, message: &T) -> Result<Vec<u8>, CodecError> {
+        (self.encode)(message)
+    }
+
+    /// Decodes a message.
+    ///
+    /// # Errors
+    /// [`CodecError`] if it is larger than the key allows, or malformed.
+    #[cfg(feature = "bus")]
+    pub fn decode(&self, bytes: &[u8], encoding: Encoding) -> Result<T, CodecError> {
+        (self.decode)(bytes, encoding, self.max_bytes)
+    }
+
     #[cfg(feature = "bus")]
     pub(crate) fn untyped(&self) -> Untyped {
         Untyped {
@@ -226,6 +244,15 @@ impl<Q, R> Ask<Q, R> {
     #[must_use]
     pub fn chunks(&self, key: &str) -> Vec<String> {
         owned_chunks(self.pattern, key)
+    }
+
+    /// Decodes a reply of any size.
+    ///
+    /// # Errors
+    /// [`CodecError::Malformed`].
+    #[cfg(feature = "bus")]
+    pub fn decode_reply(&self, bytes: &[u8], encoding: Encoding) -> Result<R, CodecError> {
+        (self.decode_reply)(bytes, encoding, usize::MAX)
     }
 }
 

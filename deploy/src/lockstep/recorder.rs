@@ -5,7 +5,6 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::Serialize;
 use zenav_edge::{Outbox, Publication};
 use zenav_mission::{Effect, Inputs};
 use zenav_protocol::codec::{self, Encoding};
@@ -133,9 +132,9 @@ impl Recorder {
         self.put_changed(&topics::LOCALISATION, robot, inputs.localisation.as_ref());
     }
 
-    fn put_changed<T: Serialize>(&mut self, topic: &Topic<T>, robot: &str, message: Option<&T>) {
+    fn put_changed<T>(&mut self, topic: &Topic<T>, robot: &str, message: Option<&T>) {
         let Some(message) = message else { return };
-        let (key, encoded) = (topic.key(&[robot]), codec::encode(message, topic.encoding));
+        let (key, encoded) = (topic.key(&[robot]), topic.encode(message));
         if let Ok(bytes) = &encoded
             && self.values.insert(key.clone(), bytes.clone()).as_ref() == Some(bytes)
         {
@@ -144,8 +143,8 @@ impl Recorder {
         self.write(key, Kind::Put, topic.encoding, encoded);
     }
 
-    fn put<T: Serialize>(&mut self, topic: &Topic<T>, chunks: &[&str], message: &T) {
-        let encoded = codec::encode(message, topic.encoding);
+    fn put<T>(&mut self, topic: &Topic<T>, chunks: &[&str], message: &T) {
+        let encoded = topic.encode(message);
         self.write(topic.key(chunks), Kind::Put, topic.encoding, encoded);
     }
 

@@ -12,7 +12,7 @@
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
-use zenav_protocol::codec::{self, Encoding};
+use zenav_protocol::codec::Encoding;
 use zenav_protocol::topics::{Ask, Topic};
 
 use crate::exit_code;
@@ -95,23 +95,23 @@ pub struct Sample {
 impl Sample {
     /// The robot's name and the message, if this is a value of that topic that can be decoded.
     #[must_use]
-    pub fn message<T: serde::de::DeserializeOwned>(&self, topic: &Topic<T>) -> Option<(String, T)> {
+    pub fn message<T>(&self, topic: &Topic<T>) -> Option<(String, T)> {
         if self.kind != Kind::Put {
             return None;
         }
         let robot = topic.chunks(&self.key).into_iter().next()?;
-        let message = codec::decode(&self.bytes, Encoding::of(&self.encoding), topic.max_bytes).ok()?;
+        let message = topic.decode(&self.bytes, Encoding::of(&self.encoding)).ok()?;
         Some((robot, message))
     }
 
     /// The robot's name and the reply, if this is an answer to that ask.
     #[must_use]
-    pub fn reply<Q, R: serde::de::DeserializeOwned>(&self, ask: &Ask<Q, R>) -> Option<(String, R)> {
+    pub fn reply<Q, R>(&self, ask: &Ask<Q, R>) -> Option<(String, R)> {
         if self.kind != Kind::Reply {
             return None;
         }
         let robot = ask.chunks(&self.key).into_iter().next()?;
-        let reply = codec::decode(&self.bytes, Encoding::of(&self.encoding), usize::MAX).ok()?;
+        let reply = ask.decode_reply(&self.bytes, Encoding::of(&self.encoding)).ok()?;
         Some((robot, reply))
     }
 }
