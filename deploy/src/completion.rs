@@ -21,14 +21,37 @@ use zenav_sim::world;
 
 use crate::config::IdentityArgs;
 use crate::connect::{self, LinkArgs};
-use crate::failure::Failure;
+use crate::failure::{Failure, Outcome};
+use crate::files::Shipped;
 use crate::inspect::message_names;
-use crate::{annotations, exit_code};
+use crate::{annotations, exit_code, files, output};
 
 /// The variable by which a shell requests completions; clap's own default.
 const ASKED_BY: &str = "COMPLETE";
 /// Longest wait for an answer: completion must feel instant.
 const WITHIN: Duration = Duration::from_millis(700);
+
+/// Shell completions.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  eval \"$(zenav completions bash)\"\n  zenav completions fish > ~/.config/fish/completions/zenav.fish"
+)]
+pub struct CompletionsArgs {
+    /// Shell to complete for
+    shell: Shell,
+}
+
+/// Prints the script that a shell runs at startup.
+///
+/// # Errors
+/// A shell without support for completion requests.
+pub fn completions(args: &CompletionsArgs) -> Outcome {
+    // Written to memory first: a closed pipe must not cause a panic.
+    let mut script = Vec::new();
+    register(args.shell, &mut script)?;
+    output::line(String::from_utf8_lossy(&script).trim_end());
+    Ok(exit_code::OK)
+}
 
 /// Answers a shell's completion request and ends the process; otherwise does nothing.
 pub(crate) fn answer(command: impl Fn() -> clap::Command) {
@@ -39,13 +62,13 @@ pub(crate) fn answer(command: impl Fn() -> clap::Command) {
 ///
 /// # Errors
 /// A shell without support for completion requests, or `out` cannot be written.
-pub(crate) fn register(shell: Shell, out: &mut dyn Write) -> Result<(), Failure> {
+fn register(shell: Shell, out: &mut dyn Write) -> Result<(), Failure> {
     let name = shell.to_possible_value().map(|value| value.get_name().to_owned());
     let shells = Shells::builtins();
     let completer = name
         .as_deref()
         .and_then(|name| shells.completer(name))
-        .ok_or_else(|| Failure::new(exit_code::USAGE, format!("no completions for {shell}")))?;
+        .ok_or_else(|| Failure::usage(format!("no completions for {shell}")))?;
     completer.write_registration(ASKED_BY, "zenav", "zenav", "zenav", out)?;
     Ok(())
 }
@@ -67,16 +90,11 @@ pub fn behaviour_trees() -> ArgValueCompleter {
 
 /// Planners.
 pub fn planners() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| {
-        Planner::ALL
-            .iter()
-            .map(|(name, _)| CompletionCandidate::new(*name))
-            .collect()
-    })
+    any_of(|| Planner::ALL.iter().map(|(name, _)| (*name).to_owned()).collect())
 }
 
-fn shipped_or_file(shipped: &'static [(&'static str, &'static str)]) -> ArgValueCompleter {
-    names_or_file(move || shipped.iter().map(|(name, _)| (*name).to_owned()).collect())
+fn shipped_or_file(shipped: Shipped) -> ArgValueCompleter {
+    names_or_file(move || files::names(shipped).map(str::to_owned).collect())
 }
 
 fn names_or_file(names: impl Fn() -> Vec<String> + Send + Sync + 'static) -> ArgValueCompleter {
@@ -91,58 +109,47 @@ fn names_or_file(names: impl Fn() -> Vec<String> + Send + Sync + 'static) -> Arg
 
 /// Robots on the bus.
 pub fn robots() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| {
-        let robots = on_bus(async |bus, _| Ok(connect::robots(&bus).await?.into_keys().collect()));
-        candidates(robots)
-    })
+    any_of(|| on_bus(async |bus, _| Ok(connect::robots(&bus).await?.into_keys().collect())))
 }
 
 /// Places of the robot's map.
 pub fn places() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| {
-        candidates(on_robot(async |bus, robot| {
-            let known = annotations::read(&bus, &robot, WITHIN).await?;
-            Ok(known.places.into_keys().collect())
-        }))
+    of_robot(async |bus, robot| {
+        let known = annotations::read(&bus, &robot, WITHIN).await?;
+        Ok(known.places.into_keys().collect())
     })
 }
 
 /// Zones of the robot's map.
 pub fn zones() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| {
-        candidates(on_robot(async |bus, robot| {
-            let known = annotations::read(&bus, &robot, WITHIN).await?;
-            Ok(known.zones.into_iter().map(|zone| zone.name).collect())
-        }))
+    of_robot(async |bus, robot| {
+        let known = annotations::read(&bus, &robot, WITHIN).await?;
+        Ok(known.zones.into_iter().map(|zone| zone.name).collect())
     })
 }
 
 /// Goals of the robot that have not ended.
 pub fn goals() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| {
-        candidates(on_robot(async |bus, robot| {
-            let request = GoalsRequest::default();
-            let known = bus.ask(&topics::GOALS, &[&robot], &request, WITHIN).await?.goals;
-            let open = known.into_iter().filter(|goal| !goal.state.is_end());
-            Ok(open.map(|goal| goal.id).collect())
-        }))
+    of_robot(async |bus, robot| {
+        let request = GoalsRequest::default();
+        let known = bus.ask(&topics::GOALS, &[&robot], &request, WITHIN).await?.goals;
+        let open = known.into_iter().filter(|goal| !goal.state.is_end());
+        Ok(open.map(|goal| goal.id).collect())
     })
 }
 
 /// Parameters of the robot.
 pub fn params() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| {
-        candidates(on_robot(async |bus, robot| {
-            let request = ParamRequest::default();
-            let known = bus.ask(&topics::PARAM, &[&robot], &request, WITHIN).await?.params;
-            Ok(known.into_keys().collect())
-        }))
+    of_robot(async |bus, robot| {
+        let request = ParamRequest::default();
+        let known = bus.ask(&topics::PARAM, &[&robot], &request, WITHIN).await?.params;
+        Ok(known.into_keys().collect())
     })
 }
 
 /// Names of the robot's stored maps.
 pub fn stored_maps() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| candidates(map_names()))
+    any_of(map_names)
 }
 
 /// Names of the robot's stored maps, and files.
@@ -163,22 +170,22 @@ fn map_names() -> Vec<String> {
 
 /// Keys of topics and asks, in the form that commands accept.
 pub fn keys() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| candidates(fixed_keys(|_| true)))
+    any_of(|| fixed_keys(|_| true))
 }
 
 /// Keys of topics, in the form that commands accept.
 pub fn topic_keys() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| candidates(fixed_keys(|row| row.qos.is_some())))
+    any_of(|| fixed_keys(|row| row.qos.is_some()))
 }
 
 /// Keys of asks, in the form that commands accept.
 pub fn ask_keys() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| candidates(fixed_keys(|row| row.qos.is_none())))
+    any_of(|| fixed_keys(|row| row.qos.is_none()))
 }
 
 /// Names of messages.
 pub fn messages() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| candidates(message_names()))
+    any_of(message_names)
 }
 
 /// Keys of the table that contain no name but the robot's, which is left out.
@@ -190,6 +197,18 @@ fn fixed_keys(is_wanted: impl Fn(&Row) -> bool) -> Vec<String> {
 
 fn candidates(names: Vec<String>) -> Vec<CompletionCandidate> {
     names.into_iter().map(CompletionCandidate::new).collect()
+}
+
+/// Offers all of some names.
+fn any_of(names: impl Fn() -> Vec<String> + Send + Sync + 'static) -> ArgValueCandidates {
+    ArgValueCandidates::new(move || candidates(names()))
+}
+
+/// Offers what is found on the bus for the robot that the typed words select.
+fn of_robot(
+    look: impl AsyncFn(Bus, String) -> Result<Vec<String>, Failure> + Send + Sync + 'static,
+) -> ArgValueCandidates {
+    any_of(move || on_robot(async |bus, robot| look(bus, robot).await))
 }
 
 /// Looks up names on the bus that the typed words select; empty if there is no quick answer.
@@ -241,7 +260,6 @@ fn option(words: &[String], name: &str) -> Option<String> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

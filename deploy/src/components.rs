@@ -346,33 +346,26 @@ impl Parts {
             None => None,
         };
         let (places, zones) = (places(world), files::zones(deployment.zones.file.as_deref())?);
+        let time = Time::of(deployment);
         for id in robots {
-            self.map_robot(
-                MappingConfig {
-                    settings: deployment.mapping.settings.clone(),
-                    poses: deployment.poses(),
-                    folder: Some(deployment.robot_dir(id)),
-                    known: known.clone(),
-                    places: places.clone(),
-                    zones: Arc::clone(&zones),
-                    ..MappingConfig::new(id.as_str())
-                },
-                deployment,
-            );
+            let config = MappingConfig {
+                settings: deployment.mapping.settings.clone(),
+                poses: deployment.poses(),
+                folder: Some(deployment.robot_dir(id)),
+                known: known.clone(),
+                places: places.clone(),
+                zones: Arc::clone(&zones),
+                ..MappingConfig::new(id.as_str())
+            };
+            let bus = self.bus(deployment, &format!("mapping-{id}"));
+            self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
+                let clock = time.clock(&bus)?;
+                mapping::run(bus, clock, config, shutdown)
+                    .await
+                    .map_err(Failure::failed)
+            });
         }
         Ok(())
-    }
-
-    fn map_robot(&mut self, config: MappingConfig, deployment: &Deployment) {
-        let id = config.robot.clone();
-        let bus = self.bus(deployment, &format!("mapping-{id}"));
-        let time = Time::of(deployment);
-        self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
-            let clock = time.clock(&bus)?;
-            mapping::run(bus, clock, config, shutdown)
-                .await
-                .map_err(Failure::failed)
-        });
     }
 
     /// Starts motion workers.
@@ -574,7 +567,6 @@ pub fn places(world: &World) -> BTreeMap<String, GoalPoint> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
 

@@ -4,26 +4,24 @@
 //! found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Display;
 use std::net::ToSocketAddrs as _;
-use std::ops::RangeInclusive;
-use std::str::FromStr;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use zenav_protocol::bus::{Act, Bus, BusConfig, BusError, link_protocol};
-use zenav_protocol::config_text::Expected;
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::bus::{Act, Bus, BusConfig, BusError};
 use zenav_protocol::id::Id;
 use zenav_protocol::member::Member;
 use zenav_protocol::topics;
 
+use crate::arguments::{endpoint, positive, robot_name};
 use crate::completion;
 use crate::config::IdentityArgs;
-use crate::exit_code;
-use crate::failure::{Failure, in_words};
+use crate::failure::Failure;
+use crate::output::{self, listed};
 use crate::tasks;
 
+// For `bench`.
+pub(crate) use crate::arguments::{finite, whole_in};
 pub use zenav_protocol::bus::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 
 /// How long to look for a robot that is not found at once: it may still be starting.
@@ -101,147 +99,9 @@ pub struct RobotArgs {
     pub robot: Option<String>,
 }
 
-fn robot_name(text: &str) -> Result<String, String> {
-    Id::robot(text).map(String::from).map_err(|error| error.to_string())
-}
-
-/// A name on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn name(text: &str) -> Result<String, String> {
-    Id::new(text).map(String::from).map_err(|error| error.to_string())
-}
-
 /// The namespace in the environment, read as for a deployment.
 pub(crate) fn namespace() -> String {
     std::env::var("ZENAV_BUS__NAMESPACE").unwrap_or_default()
-}
-
-/// An endpoint on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub(crate) fn endpoint(text: &str) -> Result<String, String> {
-    // May be quoted, like a deployment's values in the environment.
-    let text = text.trim_matches('"');
-    let form = || {
-        format!("expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp, or over quic with an identity")
-    };
-    link_protocol(text).map(|_| text.to_owned()).ok_or_else(form)
-}
-
-/// Endpoints on the command line, separated by commas.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub(crate) fn endpoints(text: &str) -> Result<String, String> {
-    let checked: Result<Vec<String>, String> = text.split(',').map(|one| endpoint(one.trim())).collect();
-    checked.map(|endpoints| endpoints.join(","))
-}
-
-/// A finite number on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn finite(text: &str) -> Result<f64, String> {
-    number(text, Expected::Finite)
-}
-
-/// A heading on the command line, rad.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn heading(text: &str) -> Result<f64, String> {
-    number(text, Expected::Angle)
-}
-
-/// A pose given as X and Y, m, and YAW, rad, by an option such as `--start`.
-///
-/// # Errors
-/// Exit code 2, with the option: another number of numbers, or a heading that is probably in degrees.
-pub(crate) fn pose(option: &str, numbers: &[f64]) -> Result<Pose2, Failure> {
-    let [x, y, yaw] = *numbers else {
-        return Err(Failure::usage(format!("{option}: expected X Y YAW")));
-    };
-    let checked = Expected::Angle.check(yaw);
-    let yaw = checked.map_err(|why| Failure::usage(format!("{option}: YAW {why}")))?;
-    Ok(Pose2::new(x, y, yaw))
-}
-
-/// A time of so many seconds; at most 2^30 (34 years), which any clock can add.
-#[must_use]
-pub fn seconds(secs: f64) -> Duration {
-    let most = Duration::from_secs(1 << 30);
-    Duration::try_from_secs_f64(secs.max(0.0)).map_or(most, |time| time.min(most))
-}
-
-/// A positive, finite number on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn positive(text: &str) -> Result<f64, String> {
-    number(text, Expected::Positive)
-}
-
-/// Zero, or a positive, finite number, on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn not_negative(text: &str) -> Result<f64, String> {
-    number(text, Expected::NotNegative)
-}
-
-fn number(text: &str, expected: Expected) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|number| expected.holds(*number));
-    number.ok_or_else(|| format!("expected {expected}"))
-}
-
-/// A whole number on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn whole<N: FromStr>(text: &str) -> Result<N, String> {
-    let expected = || in_words(&format!("expected {}", std::any::type_name::<N>()));
-    text.parse().map_err(|_| expected())
-}
-
-/// A whole number on the command line, within bounds.
-pub fn whole_in<N>(bounds: RangeInclusive<N>) -> impl Fn(&str) -> Result<N, String> + Clone
-where
-    N: FromStr + PartialOrd + Display + Clone,
-{
-    move |text| {
-        let number = text.parse::<N>().ok().filter(|number| bounds.contains(number));
-        number.ok_or_else(|| format!("expected a whole number from {} to {}", bounds.start(), bounds.end()))
-    }
-}
-
-/// A listening address on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn address(text: &str) -> Result<String, String> {
-    match text.rsplit_once(':') {
-        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(text.to_owned()),
-        _ => Err("expected ADDRESS:PORT, such as 127.0.0.1:7480".to_owned()),
-    }
-}
-
-/// Cell side of a map on the command line, m; the bounds are those of a deployment.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn resolution(text: &str) -> Result<f64, String> {
-    number(text, Expected::Range(0.005, 10.0, "0.005 to 10 m"))
-}
-
-/// Speed of simulated time on the command line.
-///
-/// # Errors
-/// Invalid text; the message says what was expected.
-pub fn speed(text: &str) -> Result<f64, String> {
-    number(text, Expected::Range(0.001, 1000.0, "a number from 0.001 to 1000"))
 }
 
 /// Runs a command's work in its own Tokio runtime (multi-threaded: Zenoh requires it).
@@ -262,7 +122,7 @@ pub fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, 
 /// Connects, does the work, and disconnects.
 ///
 /// # Errors
-/// [`exit_code::CANNOT_CONNECT`] without a router, or that of the work.
+/// [`crate::exit_code::CANNOT_CONNECT`] without a router, or that of the work.
 pub fn on_bus<T>(link: &LinkArgs, work: impl AsyncFnOnce(Bus) -> Result<T, Failure>) -> Result<T, Failure> {
     block_on(async {
         let bus = open(link).await?;
@@ -293,7 +153,7 @@ fn unknown_host(endpoint: &str) -> Option<&str> {
 /// Connects.
 ///
 /// # Errors
-/// [`exit_code::CANNOT_CONNECT`] without a router, [`exit_code::USAGE`] for an invalid endpoint.
+/// [`crate::exit_code::CANNOT_CONNECT`] without a router, [`crate::exit_code::USAGE`] for an invalid endpoint.
 pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
     let endpoints = link.endpoints();
     let config = BusConfig {
@@ -313,13 +173,10 @@ pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
             Some(host) => format!("no host `{host}` is known here"),
             None => format!("nobody answers there{or_refused}"),
         };
-        Failure::new(
-            exit_code::CANNOT_CONNECT,
-            format!(
-                "cannot connect to {}: {why} (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)",
-                endpoints.join(", ")
-            ),
-        )
+        Failure::cannot_connect(format!(
+            "cannot connect to {}: {why} (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)",
+            endpoints.join(", ")
+        ))
     };
     match tokio::time::timeout(link.patience(), Bus::open(config.clone())).await {
         Ok(Ok(bus)) => Ok(bus),
@@ -333,19 +190,28 @@ pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
 /// # Errors
 /// The bus was closed.
 pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Failure> {
-    let mut robots = BTreeMap::<String, BTreeSet<String>>::new();
-    for key in bus
-        .list_alive(topics::alive_key(topics::ALIVE_COMPONENT, &["*", "*"]), GLANCE)
-        .await?
-    {
-        if let Some([robot, component]) = topics::alive_chunks(topics::ALIVE_COMPONENT, &key).as_deref() {
-            robots
-                .entry((*robot).to_owned())
+    alive(bus, topics::ALIVE_COMPONENT, GLANCE).await
+}
+
+/// What shows by liveliness tokens of a pattern with two named chunks: for each first chunk the second ones.
+///
+/// # Errors
+/// The bus was closed.
+pub(crate) async fn alive(
+    bus: &Bus,
+    pattern: &str,
+    within: Duration,
+) -> Result<BTreeMap<String, BTreeSet<String>>, Failure> {
+    let mut found = BTreeMap::<String, BTreeSet<String>>::new();
+    for key in bus.list_alive(topics::alive_key(pattern, &["*", "*"]), within).await? {
+        if let Some([first, second]) = topics::alive_chunks(pattern, &key).as_deref() {
+            found
+                .entry((*first).to_owned())
                 .or_default()
-                .insert((*component).to_owned());
+                .insert((*second).to_owned());
         }
     }
-    Ok(robots)
+    Ok(found)
 }
 
 /// Notes that a robot was not found; the caller keeps listening for it.
@@ -353,7 +219,7 @@ pub async fn tell_absence(bus: &Bus, robot: Option<&str>) {
     if let Some(robot) = robot
         && find(bus, Some(robot)).await.is_err()
     {
-        crate::output::note(format_args!(
+        output::note(format_args!(
             "zenav: robot `{robot}` does not show; waiting for it (Ctrl-C ends)"
         ));
     }
@@ -362,7 +228,7 @@ pub async fn tell_absence(bus: &Bus, robot: Option<&str>) {
 /// The robots with this component, sorted.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] if none is found within a while; an identity that may not see all robots.
+/// [`crate::exit_code::NOT_FOUND`] if none is found within a while; an identity that may not see all robots.
 pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, Failure> {
     sees_all(bus)?;
     let start = Instant::now();
@@ -388,7 +254,7 @@ pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, F
 /// Checks that this process's identity may see all robots; a robot's sees its own alone.
 ///
 /// # Errors
-/// [`exit_code::REJECTED`].
+/// [`crate::exit_code::REJECTED`].
 pub fn sees_all(bus: &Bus) -> Result<(), Failure> {
     let tokens = topics::alive_key(topics::ALIVE_COMPONENT, &["*", "*"]);
     Ok(bus.check(Act::Hear, &tokens)?)
@@ -397,30 +263,23 @@ pub fn sees_all(bus: &Bus) -> Result<(), Failure> {
 /// Waits until a dispatcher takes goals for a group.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] if none does within a while; lists the existing groups. As [`with_component`].
+/// [`crate::exit_code::NOT_FOUND`] if none does within a while; lists the existing groups. As [`with_component`].
 pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
     sees_all(bus)?;
     let start = Instant::now();
     loop {
-        let alive = bus
-            .list_alive(topics::alive_key(topics::ALIVE_WORKER, &["*", "*"]), GLANCE)
-            .await?;
-        let groups: BTreeSet<String> = alive
-            .iter()
-            .filter_map(|key| {
-                topics::alive_chunks(topics::ALIVE_WORKER, key)?
-                    .first()?
-                    .strip_prefix("group-")
-            })
-            .map(str::to_owned)
+        let services = alive(bus, topics::ALIVE_WORKER, GLANCE).await?;
+        let groups: Vec<&str> = services
+            .keys()
+            .filter_map(|service| service.strip_prefix("group-"))
             .collect();
-        if groups.contains(group) {
+        if groups.contains(&group) {
             return Ok(());
         }
         if start.elapsed() > LOOK_FOR {
             let there = match groups.is_empty() {
                 true => "the deployment has no groups (`[groups]` in its file names them)".to_owned(),
-                false => format!("there is {}", groups.into_iter().collect::<Vec<_>>().join(", ")),
+                false => format!("there is {}", listed(groups)),
             };
             return Err(Failure::not_found(format!("no group `{group}`: {there}")));
         }
@@ -431,8 +290,8 @@ pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
 /// The robot of a command: the named one, if it exists, otherwise the only one.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for none or an unknown one, [`exit_code::USAGE`] if there are several; both list the robots found.
-/// [`exit_code::REJECTED`] for a robot that this process's identity may not see.
+/// [`crate::exit_code::NOT_FOUND`] for none or an unknown one, [`crate::exit_code::USAGE`] if there are several; both list the robots found.
+/// [`crate::exit_code::REJECTED`] for a robot that this process's identity may not see.
 pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
     find_or(bus, wanted, |_| "name one with --robot".to_owned()).await
 }
@@ -498,9 +357,8 @@ pub(crate) fn none_shows(bus: &Bus) -> Failure {
 }
 
 fn unknown(wanted: Option<&str>, known: &BTreeSet<String>, member: Option<&Member>) -> Failure {
-    let names: Vec<&str> = known.iter().map(String::as_str).collect();
-    let found = match (names.is_empty(), member) {
-        (false, _) => format!("there is {}", names.join(", ")),
+    let found = match (known.is_empty(), member) {
+        (false, _) => format!("there is {}", listed(known)),
         // Whoever is not admitted finds nothing, as if nothing ran.
         (true, Some(member)) => {
             format!("no robot shows here; `zenav doctor` says whether the router admits {member}")
@@ -520,9 +378,9 @@ pub fn fresh_id(prefix: &str) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::exit_code;
 
     fn names(list: &[&str]) -> BTreeSet<String> {
         list.iter().map(|name| (*name).to_owned()).collect()
@@ -576,64 +434,5 @@ mod tests {
         let (a, b) = (fresh_id("goal"), fresh_id("goal"));
         assert!(Id::new(a.clone()).is_ok());
         assert_ne!(a, b);
-    }
-
-    #[test]
-    fn an_endpoint_that_nobody_can_dial_is_told_at_once() {
-        assert!(endpoint("tcp/robot.local:7447").is_ok() && endpoint("tcp/[::1]:7447").is_ok());
-        for bad in [
-            "http://localhost:7447",
-            "ws/localhost:7447",
-            "localhost:7447",
-            "tcp/localhost",
-        ] {
-            assert!(endpoint(bad).unwrap_err().contains("tcp/127.0.0.1:7447"), "{bad}");
-        }
-    }
-
-    #[test]
-    fn any_number_of_seconds_is_a_time_that_a_clock_can_add() {
-        assert_eq!(seconds(10.0 / 2.0), Duration::from_secs(5));
-        for none in [-1.0, f64::NEG_INFINITY, f64::NAN] {
-            assert_eq!(seconds(none), Duration::ZERO, "{none}");
-        }
-        for most in [1e300, f64::INFINITY] {
-            assert_eq!(seconds(most), Duration::from_secs(1 << 30), "{most}");
-        }
-    }
-
-    #[test]
-    fn a_pose_with_a_heading_in_degrees_is_refused_with_its_option() {
-        assert_eq!(pose("--start", &[1.0, -2.0, 3.0]).unwrap(), Pose2::new(1.0, -2.0, 3.0));
-        let refused = pose("--start", &[0.0, 0.0, 90.0]).unwrap_err();
-        assert_eq!(refused.code, exit_code::USAGE);
-        assert!(refused.message.starts_with("--start: YAW 90: expected"), "{refused}");
-        assert!(pose("--start", &[0.0, 0.0]).is_err());
-    }
-
-    #[test]
-    fn numbers_on_the_command_line_are_finite() {
-        assert_eq!(finite("-1.5"), Ok(-1.5));
-        assert!(finite("NaN").is_err() && finite("inf").is_err() && finite("x").is_err());
-        assert!(positive("0").is_err());
-        assert_eq!(whole("-3"), Ok(-3));
-        assert_eq!(
-            whole::<u64>("-1").unwrap_err(),
-            "expected a whole number that is not negative"
-        );
-        assert_eq!(whole::<i32>("high").unwrap_err(), "expected a whole number");
-        assert_eq!(whole_in(1..=9_u32)("9"), Ok(9));
-        assert_eq!(
-            whole_in(1..=9_u32)("0").unwrap_err(),
-            "expected a whole number from 1 to 9"
-        );
-    }
-
-    #[test]
-    fn an_address_has_a_port() {
-        assert!(address("127.0.0.1:0").is_ok() && address("[::1]:7480").is_ok() && address("localhost:7480").is_ok());
-        for bad in ["7480", ":7480", "127.0.0.1", "127.0.0.1:99999", "foo"] {
-            assert!(address(bad).unwrap_err().contains("127.0.0.1:7480"), "{bad}");
-        }
     }
 }

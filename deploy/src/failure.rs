@@ -3,7 +3,6 @@
 use std::fmt::Display;
 use std::path::Path;
 
-use miette::Diagnostic;
 use thiserror::Error;
 use zenav_protocol::bus::{AskError, BusError, IdentityError};
 use zenav_protocol::messages::Refusal;
@@ -12,7 +11,7 @@ use crate::exit_code;
 use crate::leadership;
 
 /// A command's failure: message and exit code.
-#[derive(Debug, Error, Diagnostic)]
+#[derive(Debug, Error)]
 #[error("{message}")]
 pub struct Failure {
     /// Exit code, one of [`exit_code`].
@@ -37,10 +36,34 @@ impl Failure {
         Self::new(exit_code::USAGE, message)
     }
 
+    /// No router.
+    #[must_use]
+    pub fn cannot_connect(message: impl Display) -> Self {
+        Self::new(exit_code::CANNOT_CONNECT, message)
+    }
+
     /// The bus ended while it was listened to.
     #[must_use]
     pub fn closed() -> Self {
-        Self::new(exit_code::CANNOT_CONNECT, "the bus was closed")
+        Self::cannot_connect("the bus was closed")
+    }
+
+    /// Nothing came in time.
+    #[must_use]
+    pub fn timeout(message: impl Display) -> Self {
+        Self::new(exit_code::TIMEOUT, message)
+    }
+
+    /// The robot, its mission or this command refuses the request.
+    #[must_use]
+    pub fn rejected(message: impl Display) -> Self {
+        Self::new(exit_code::REJECTED, message)
+    }
+
+    /// Ctrl-C ended the work.
+    #[must_use]
+    pub fn interrupted() -> Self {
+        Self::new(exit_code::INTERRUPTED, "interrupted")
     }
 
     /// A robot, goal or file that does not exist.

@@ -15,6 +15,7 @@ use zenav_space::Zones;
 
 use crate::exit_code;
 use crate::failure::Failure;
+use crate::output::listed;
 
 /// First bytes of a gzip file (RFC 1952).
 const GZIP: [u8; 2] = [0x1f, 0x8b];
@@ -133,12 +134,19 @@ pub fn zones(path: Option<&Path>) -> Result<Arc<Zones>, Failure> {
 }
 
 /// Failure for a name, with where it stands, that is neither shipped nor a file.
-fn unknown(kind: &str, name: &str, place: &str, shipped: impl Iterator<Item = &'static str>) -> Failure {
-    let known: Vec<&str> = shipped.collect();
+pub(crate) fn unknown(kind: &str, name: &str, place: &str, shipped: Shipped) -> Failure {
     Failure::not_found(format!(
         "no {kind} `{name}`{place}: expected a file or one of {}",
-        known.join(", ")
+        listed(names(shipped))
     ))
+}
+
+/// Shipped files: names and texts.
+pub(crate) type Shipped = &'static [(&'static str, &'static str)];
+
+/// Names of shipped files.
+pub(crate) fn names(shipped: Shipped) -> impl Iterator<Item = &'static str> {
+    shipped.iter().map(|(name, _)| *name)
 }
 
 /// A world made from a map: its first robot starts at the origin, or at the nearest free place.
@@ -195,12 +203,7 @@ fn read_world(name: &str) -> Result<World, Failure> {
         if world::shipped(name).is_some() {
             return World::shipped(name).map_err(Failure::failed);
         }
-        return Err(unknown(
-            "world",
-            name,
-            "",
-            world::SHIPPED.iter().map(|(known, _)| *known),
-        ));
+        return Err(unknown("world", name, "", world::SHIPPED));
     }
     if matches!(ending(path).as_str(), "yaml" | "yml") {
         let stem = path
@@ -241,8 +244,7 @@ pub fn robot(name: &str) -> Result<RobotModel, Failure> {
         } else {
             format!(" in `{name}`")
         };
-        let missing = unknown(kind, part, &combined, shipped.iter().map(|(known, _)| *known));
-        Err(missing.to_string())
+        Err(unknown(kind, part, &combined, shipped).to_string())
     };
     let model = RobotModel::with_options(name, read).map_err(|error| match error {
         RobotError::Unknown { reason, .. } => Failure::not_found(reason),
@@ -257,15 +259,22 @@ pub fn robot(name: &str) -> Result<RobotModel, Failure> {
 /// # Errors
 /// Exit code 3 if there is none, 2 if it is bad.
 pub fn map(path: &Path) -> Result<OccupancyGrid, Failure> {
+    map_at(path, None)
+}
+
+/// As [`map`]; `resolution`, m, is the side of a cell if the file gives none.
+///
+/// # Errors
+/// As [`map`].
+pub(crate) fn map_at(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failure> {
     if !path.is_file() {
         return Err(Failure::not_found(format!("{}: no such map file", path.display())));
     }
-    let resolution = if ending(path) == "map" { 1.0 } else { BARE_RESOLUTION };
-    zenav_mapping::read_map(path, resolution).map_err(Failure::usage)
+    let own = if ending(path) == "map" { 1.0 } else { BARE_RESOLUTION };
+    zenav_mapping::read_map(path, resolution.unwrap_or(own)).map_err(Failure::usage)
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -92,7 +92,6 @@ impl RouterLink {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
 

@@ -10,14 +10,14 @@ use zenav_observability::logging::{self, Format};
 use zenav_protocol::member::Role;
 use zenav_sim::World;
 
+use crate::arguments;
 use crate::components::{Parts, places};
 use crate::config::{Deployment, Layers, SecurityArgs};
-use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::health::HealthArgs;
 use crate::inspect::serve_schemas;
-use crate::launch::{runtime, until_interrupted};
+use crate::launch::{overrule, runtime, until_interrupted};
 use crate::tasks;
 
 /// Longest wait for a first robot before the address is printed.
@@ -34,7 +34,7 @@ pub(crate) const FREE_PORT: &str = "127.0.0.1:0";
 )]
 pub struct GatewayArgs {
     /// Address of the page and the API; port 0 takes a free one [default: the deployment's, 127.0.0.1:7480]
-    #[arg(long, value_name = "ADDRESS:PORT", value_parser = connect::address)]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = arguments::address)]
     listen: Option<String>,
     /// Router endpoint, instead of the deployment's
     #[arg(long, value_name = "ENDPOINT")]
@@ -58,7 +58,7 @@ pub struct GatewayArgs {
 #[derive(Debug, Default, Args)]
 pub struct PageArgs {
     /// Address of the mission-control page; port 0 takes a free one
-    #[arg(long, value_name = "ADDRESS:PORT", value_parser = connect::address)]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = arguments::address)]
     gateway: Option<String>,
     /// Do not serve the mission-control page
     #[arg(long, conflicts_with = "gateway")]
@@ -68,11 +68,9 @@ pub struct PageArgs {
 impl PageArgs {
     /// Applies the arguments to a deployment.
     pub(crate) fn apply(&self, deployment: &mut Deployment) {
-        deployment.gateway.run.enabled &= !self.no_gateway;
-        if let Some(listen) = &self.gateway {
-            deployment.gateway.run.enabled = true;
-            deployment.gateway.settings.listen.clone_from(listen);
-        }
+        let gateway = &mut deployment.gateway;
+        gateway.run.enabled = self.gateway.is_some() || gateway.run.enabled && !self.no_gateway;
+        overrule(&mut gateway.settings.listen, self.gateway.as_ref());
     }
 
     /// Whether an address was given.
@@ -113,18 +111,11 @@ impl Parts {
     /// # Errors
     /// An address that is taken or that needs a token, a token file that cannot be read.
     pub(crate) async fn gateway(&mut self, deployment: &Deployment, world: &World) -> Result<Option<String>, Failure> {
-        let (gateway, address) = match bind(deployment, world).await? {
-            Some(gateway) => {
-                let address = gateway.address().to_owned();
-                (gateway, address)
-            }
-            None => return Ok(None),
+        let Some(gateway) = bind(deployment, world).await? else {
+            return Ok(None);
         };
-        let bus = self.bus(deployment, "gateway");
-        self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
-            serve_schemas(&bus)?;
-            gateway.run(bus, shutdown).await.map_err(Failure::failed)
-        });
+        let address = gateway.address().to_owned();
+        self.run_gateway(deployment, gateway);
         Ok(Some(address))
     }
 
@@ -141,12 +132,16 @@ impl Parts {
             let _ = tokio::time::timeout(FIRST_ROBOT, first_robot).await;
             tell(&address);
         });
+        self.run_gateway(deployment, gateway);
+        Ok(())
+    }
+
+    fn run_gateway(&mut self, deployment: &Deployment, gateway: Gateway) {
         let bus = self.bus(deployment, "gateway");
         self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
             serve_schemas(&bus)?;
             gateway.run(bus, shutdown).await.map_err(Failure::failed)
         });
-        Ok(())
     }
 }
 
@@ -186,13 +181,9 @@ fn failure(error: GatewayError) -> Failure {
 pub fn gateway(args: &GatewayArgs) -> Outcome {
     let layers = Layers::load(args.deployment.as_deref())?;
     let mut deployment = layers.deployment.clone();
-    if let Some(connect) = &args.connect {
-        deployment.bus.connect.clone_from(connect);
-    }
     deployment.gateway.run.enabled = true;
-    if let Some(listen) = &args.listen {
-        deployment.gateway.settings.listen.clone_from(listen);
-    }
+    overrule(&mut deployment.bus.connect, args.connect.as_ref());
+    overrule(&mut deployment.gateway.settings.listen, args.listen.as_ref());
     if args.listen.is_some() || layers.sets("gateway.listen") {
         check_named(&deployment)?;
     }

@@ -8,7 +8,7 @@ use clap::Args;
 use zenav_observability::{server, trace};
 use zenav_protocol::bus::Security;
 
-use crate::connect;
+use crate::arguments;
 use crate::exit_code;
 use crate::failure::Failure;
 
@@ -16,7 +16,7 @@ use crate::failure::Failure;
 #[derive(Debug, Default, Args)]
 pub(crate) struct HealthArgs {
     /// Serve /livez, /readyz and /metrics at this address; port 0 takes a free one
-    #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true, value_parser = connect::address)]
+    #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true, value_parser = arguments::address)]
     metrics: Option<String>,
     /// Write trace spans of messages between parts into this file: OTLP in JSON, one per line
     #[arg(long, value_name = "FILE", env = "ZENAV_TRACE", hide_env_values = true)]

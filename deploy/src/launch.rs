@@ -9,10 +9,11 @@ use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, interrupted, ser
 use zenav_protocol::member::Role;
 use zenav_sim::World;
 
+use crate::arguments::{self, finite};
 use crate::completion;
 use crate::components::{CloudPart, Parts};
 use crate::config::{Deployment, Layers, RobotSection, SecurityArgs};
-use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, finite};
+use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::farewell::Farewell;
@@ -21,6 +22,7 @@ use crate::gateway::{self, PageArgs};
 use crate::greeting::Greeting;
 use crate::health::HealthArgs;
 use crate::inspect::serve_schemas;
+use crate::output::listed;
 use crate::record::{self, LiveView};
 use crate::rest;
 use crate::tasks;
@@ -78,7 +80,7 @@ impl PoseArgs {
         let Some(pose) = self.pose.as_deref() else {
             return Ok(());
         };
-        let pose = connect::pose("--pose", pose)?;
+        let pose = arguments::pose("--pose", pose)?;
         let count = deployment.robots.len();
         match deployment.robots.values_mut().next() {
             Some(robot) if count == 1 => {
@@ -101,7 +103,7 @@ pub struct UpArgs {
     /// Deployment file; without it, one simulated robot and every service on this machine
     file: Option<PathBuf>,
     /// Endpoints of the router, instead of the deployment's
-    #[arg(long, value_parser = connect::endpoint)]
+    #[arg(long, value_parser = arguments::endpoint)]
     listen: Vec<String>,
     #[command(flatten)]
     outside: OutsideArgs,
@@ -112,7 +114,7 @@ pub struct UpArgs {
     #[arg(long, add = completion::models())]
     model: Option<String>,
     /// Simulated time relative to wall time, instead of the deployment's
-    #[arg(long, value_parser = connect::speed)]
+    #[arg(long, value_parser = arguments::speed)]
     speed: Option<f64>,
     /// Data folder, instead of the deployment's
     #[arg(long)]
@@ -124,7 +126,7 @@ pub struct UpArgs {
     #[command(flatten)]
     page: PageArgs,
     /// Serve live bus traffic to Foxglove, at a loopback address
-    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = record::FOXGLOVE_LISTEN, value_parser = connect::address)]
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = record::FOXGLOVE_LISTEN, value_parser = arguments::address)]
     foxglove: Option<String>,
     /// Accept poses that Foxglove publishes on `/goal` as goals
     #[arg(long, requires = "foxglove")]
@@ -140,10 +142,10 @@ pub struct UpArgs {
 #[command(after_help = "Examples:\n  zenav router\n  zenav router --listen tcp/127.0.0.1:7460 --rest")]
 pub struct RouterArgs {
     /// Endpoints to listen on
-    #[arg(long, default_value = DEFAULT_ENDPOINT, value_parser = connect::endpoint)]
+    #[arg(long, default_value = DEFAULT_ENDPOINT, value_parser = arguments::endpoint)]
     listen: Vec<String>,
     /// Other routers to link to
-    #[arg(long, value_parser = connect::endpoint)]
+    #[arg(long, value_parser = arguments::endpoint)]
     connect: Vec<String>,
     #[command(flatten)]
     outside: OutsideArgs,
@@ -157,7 +159,7 @@ pub struct RouterArgs {
 #[derive(Debug, Args)]
 struct OutsideArgs {
     /// Answer `GET /KEY` with a key's value, at a loopback address
-    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = rest::DEFAULT_LISTEN, value_parser = connect::address)]
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = rest::DEFAULT_LISTEN, value_parser = arguments::address)]
     rest: Option<String>,
     /// Answer Zenoh's multicast scouting: its tools on this network find the router without its endpoint
     #[arg(long)]
@@ -171,7 +173,7 @@ struct PartArgs {
     #[arg(long, value_name = "FILE")]
     deployment: Option<PathBuf>,
     /// Router endpoint, instead of the deployment's, or several separated by commas, of which one must be reachable
-    #[arg(long, value_parser = connect::endpoints)]
+    #[arg(long, value_parser = arguments::endpoints)]
     connect: Option<String>,
     /// Data folder, instead of the deployment's
     #[arg(long)]
@@ -205,7 +207,7 @@ pub struct EdgeArgs {
     #[arg(long, add = completion::models())]
     model: Option<String>,
     /// The robot's own endpoint, instead of the deployment's
-    #[arg(long, value_parser = connect::endpoint)]
+    #[arg(long, value_parser = arguments::endpoint)]
     listen: Option<String>,
     /// Attach to robots of the world that `zenav sim serve` serves
     #[arg(long)]
@@ -217,10 +219,10 @@ pub struct EdgeArgs {
     #[arg(long, value_enum, conflicts_with_all = ["attach", "attach_to"])]
     body: Option<BodyKind>,
     /// Simulated time relative to wall time, instead of the deployment's
-    #[arg(long, value_parser = connect::speed)]
+    #[arg(long, value_parser = arguments::speed)]
     speed: Option<f64>,
     /// Seed of the simulated noise, instead of the deployment's
-    #[arg(long, value_parser = connect::whole::<u64>)]
+    #[arg(long, value_parser = arguments::whole::<u64>)]
     seed: Option<u64>,
     #[command(flatten)]
     begin: PoseArgs,
@@ -240,7 +242,7 @@ pub struct CloudArgs {
     #[command(flatten)]
     part: PartArgs,
     /// Name of the orchestrator, instead of the deployment's; every orchestrator needs its own
-    #[arg(long, value_parser = connect::name)]
+    #[arg(long, value_parser = arguments::name)]
     holder: Option<String>,
     /// Name prefix of this process's workers
     #[arg(long)]
@@ -266,6 +268,8 @@ pub(crate) enum Ended {
     Done,
     /// The fleet has changed: they still admit a member that was revoked.
     Outdated,
+    /// They were suspended, and let nobody in for a while.
+    Suspended,
 }
 
 impl Ended {
@@ -276,10 +280,12 @@ impl Ended {
 
     /// Ends the process, or starts it anew with the same arguments.
     pub(crate) fn outcome(self) -> Outcome {
-        if self == Self::Done {
-            return Ok(exit_code::OK);
-        }
-        tracing::info!("the fleet's members or the certificate have changed: the process starts anew");
+        let why = match self {
+            Self::Done => return Ok(exit_code::OK),
+            Self::Outdated => "the fleet's members or the certificate have changed",
+            Self::Suspended => "it was suspended, and handshakes that were given up meanwhile keep others out",
+        };
+        tracing::info!("the process starts anew: {why}");
         Err(Failure::failed(format!("cannot start anew: {}", threads::restart())))
     }
 }
@@ -305,26 +311,25 @@ pub(crate) async fn until_interrupted(mut parts: Parts) -> Result<Ended, Failure
     result.map(|ended| ended.unless_interrupted(&interrupt))
 }
 
+/// Replaces a value of a deployment by that of an option, if it was given.
+pub(crate) fn overrule<T: Clone>(value: &mut T, option: Option<&T>) {
+    if let Some(option) = option {
+        value.clone_from(option);
+    }
+}
+
 impl PartArgs {
     /// Applies the arguments to a deployment.
     fn over(&self, mut deployment: Deployment) -> Result<Deployment, Failure> {
-        if let Some(connect) = &self.connect {
-            deployment.bus.connect.clone_from(connect);
-        }
-        if let Some(data) = &self.data {
-            deployment.data.dir.clone_from(data);
-        }
-        if let Some(world) = &self.world {
-            deployment.simulation.world.clone_from(world);
-        }
+        overrule(&mut deployment.bus.connect, self.connect.as_ref());
+        overrule(&mut deployment.data.dir, self.data.as_ref());
+        overrule(&mut deployment.simulation.world, self.world.as_ref());
         if let Some(robot) = &self.robot {
-            let known: Vec<String> = deployment.robots.keys().cloned().collect();
+            let known = listed(deployment.robots.keys());
             deployment.robots.retain(|id, _| id == robot);
             if deployment.robots.is_empty() {
-                return Err(Failure::not_found(format!(
-                    "no robot `{robot}` in the deployment; it has {}",
-                    known.join(", ")
-                )));
+                let missing = format!("no robot `{robot}` in the deployment; it has {known}");
+                return Err(Failure::not_found(missing));
             }
         }
         Ok(deployment)
@@ -345,15 +350,9 @@ pub fn up(args: &UpArgs) -> Outcome {
         deployment.router.listen = args.listen.iter().map(|endpoint| with_free_port(endpoint)).collect();
         deployment.bus.connect.clone_from(&deployment.router.listen[0]);
     }
-    if let Some(world) = &args.world {
-        deployment.simulation.world.clone_from(world);
-    }
-    if let Some(speed) = args.speed {
-        deployment.simulation.speed = speed;
-    }
-    if let Some(data) = &args.data {
-        deployment.data.dir.clone_from(data);
-    }
+    overrule(&mut deployment.simulation.world, args.world.as_ref());
+    overrule(&mut deployment.simulation.speed, args.speed.as_ref());
+    overrule(&mut deployment.data.dir, args.data.as_ref());
     args.known.apply(&mut deployment);
     args.begin.apply(&mut deployment)?;
     args.page.apply(&mut deployment);
@@ -541,6 +540,7 @@ pub fn router(args: &RouterArgs) -> Outcome {
         let ended = tokio::select! {
             _ = &mut interrupt => Ended::Done,
             () = outdated => Ended::Outdated,
+            () = router.was_suspended() => Ended::Suspended,
         };
         router.close().await;
         Ok::<_, Failure>(ended.unless_interrupted(&interrupt))
@@ -556,10 +556,10 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
     let layers = Layers::load(args.part.deployment.as_deref())?;
     let mut deployment = args.part.over(layers.deployment.clone())?;
     replace_models(&layers, &mut deployment, args.model.as_deref())?;
-    deployment.simulation.speed = args.speed.unwrap_or(deployment.simulation.speed);
-    deployment.simulation.seed = args.seed.unwrap_or(deployment.simulation.seed);
+    overrule(&mut deployment.simulation.speed, args.speed.as_ref());
+    overrule(&mut deployment.simulation.seed, args.seed.as_ref());
     for section in deployment.robots.values_mut() {
-        section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
+        overrule(&mut section.listen, args.listen.as_ref());
         section.attach |= args.attach || args.attach_to.is_some();
         section.driver |= args.body == Some(BodyKind::Bus);
     }
@@ -583,9 +583,7 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
     let layers = Layers::load(args.part.deployment.as_deref())?;
     args.known.check_files(&layers, args.service)?;
     let mut deployment = args.part.over(layers.deployment.clone())?;
-    if let Some(holder) = &args.holder {
-        deployment.mission.run.holder.clone_from(holder);
-    }
+    overrule(&mut deployment.mission.run.holder, args.holder.as_ref());
     args.known.apply(&mut deployment);
     let world = layers.world(args.part.world.as_deref())?;
     let worker = args
@@ -604,7 +602,6 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -14,6 +14,7 @@
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit-for-bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
+//! | `arguments` | numbers, names and addresses on the command line |
 //! | `leadership` | whether any orchestrator that runs will keep a robot's goals |
 //! | `live_map`, `freshness` | a robot's current state, drawn in a terminal; how old it is |
 //! | `goal`, `operator` | goals and hand control from anywhere |
@@ -33,6 +34,7 @@
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
 pub mod annotations;
+mod arguments;
 pub mod batch;
 pub mod bench;
 pub mod cli;

@@ -14,10 +14,11 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::topics;
 
+use crate::drawing::plane::{points_of, returns_of};
 use crate::drawing::terminal::{self, Mark, Screen};
 use crate::failure::Failure;
 use crate::freshness::{Ages, Heard, RouterLink, dimmed};
-use crate::output::hundredths;
+use crate::output::{hundredths, piece};
 use crate::tasks;
 
 /// Period of pictures.
@@ -118,14 +119,10 @@ impl LiveMap {
             }
         }
         if let Some(scan) = self.scans.take() {
-            let laser = scan.map_from_laser();
-            seen.scan = scan.returns().map(|point| laser.transform_point(point)).collect();
+            seen.scan = returns_of(&scan);
         }
         if let Some(plan) = self.plans.take() {
-            let points = plan.trajectory.iter().map(|point| Point2::new(point.x, point.y));
-            let points: Vec<Point2<f64>> = points.collect();
-            // A plan without a time law has only waypoints.
-            seen.plan = if points.is_empty() { plan.waypoints } else { points };
+            seen.plan = points_of(&plan);
         }
         while let Some(goal) = self.goals.take() {
             seen.hear(goal);
@@ -221,20 +218,19 @@ fn status(robot: &str, ages: Ages, state: Option<&EdgeState>, screen: Screen) ->
 }
 
 fn state_text(state: &EdgeState) -> String {
-    let link = state.round_trip_secs.map(|secs| format!(" {:.0} ms", 1e3 * secs));
+    let link = piece(state.round_trip_secs, |secs| format!(" {:.0} ms", 1e3 * secs));
     format!(
         "  {:.2} m/s  {:?}  monitor {:?}  link {:?}{}  battery {:.0} %",
         hundredths(state.velocity.v),
         state.mode,
         state.guard,
         state.link,
-        link.unwrap_or_default(),
+        link,
         100.0 * state.battery
     )
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -12,8 +12,8 @@ use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{Health, Scan};
 use zenav_slam::Ordered;
 
+use crate::arguments;
 use crate::batch::thread_time;
-use crate::connect;
 use crate::drawing::canvas::Color;
 use crate::drawing::plane::{DEGENERATE, Mark, Plane, ROBOT, UNKNOWN};
 use crate::exit_code;
@@ -46,13 +46,13 @@ pub struct LocaliseArgs {
     #[arg(long, conflicts_with = "start")]
     global: bool,
     /// Pose at the first scan, to within some decimetres: m, m, rad
-    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = connect::finite)]
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = arguments::finite)]
     start: Option<Vec<f64>>,
     /// Folder for trajectory.csv and localise.png
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Side of a cell if the map does not give it, m
-    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = connect::positive)]
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = arguments::positive)]
     resolution: f64,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
@@ -123,7 +123,7 @@ fn read(path: &Path, resolution: f64) -> Result<OccupancyGrid, Failure> {
 }
 
 fn followed(args: &LocaliseArgs) -> Result<Followed, Failure> {
-    let start = args.start.as_deref().map(|start| connect::pose("--start", start));
+    let start = args.start.as_deref().map(|start| arguments::pose("--start", start));
     let start = start.transpose()?;
     let map = read(&args.map, args.resolution)?;
     let (log, mut warnings) = read_in_order(&args.log)?;
@@ -181,7 +181,7 @@ fn repeated_warning(path: &Path, log: &Ordered, used: usize) -> Option<String> {
 impl Followed {
     /// Summary.
     fn told(&self) -> String {
-        let found = self.found_after_s.map_or_else(String::new, |secs| {
+        let found = output::piece(self.found_after_s, |secs| {
             format!("; found {} times, first after {secs:.1} s", self.found)
         });
         let warnings: String = self.warnings.iter().map(|w| format!("\nwarning: {w}")).collect();
@@ -294,7 +294,6 @@ fn color_of(health: &Health) -> Color {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::slam::drive;

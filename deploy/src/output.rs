@@ -61,6 +61,18 @@ pub fn counted<N: Display + PartialEq + From<u8>>(count: N, thing: &str) -> Stri
     format!("{count} {thing}{plural}")
 }
 
+/// A piece of a text about a value; nothing if there is none.
+pub fn piece<T>(value: Option<T>, text: impl FnOnce(T) -> String) -> String {
+    value.map_or_else(String::new, text)
+}
+
+/// Names in a row: `a, b, c`.
+#[must_use]
+pub fn listed<N: Display>(names: impl IntoIterator<Item = N>) -> String {
+    let names: Vec<String> = names.into_iter().map(|name| name.to_string()).collect();
+    names.join(", ")
+}
+
 /// Text escaped for XML and HTML, for contents and attributes; control characters but line breaks become spaces.
 #[must_use]
 pub fn escape(text: &str) -> String {
@@ -78,14 +90,18 @@ pub fn escape(text: &str) -> String {
     escaped
 }
 
-/// `, perhaps `X``: the most similar known name, within so many edits.
+/// The known name most similar to the meant one, within so many edits.
 #[must_use]
-pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips: usize) -> String {
+pub fn nearest<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips: usize) -> Option<&'n str> {
     let told = known.into_iter().map(|name| (strsim::osa_distance(meant, name), name));
-    match told.min() {
-        Some((distance, name)) if distance <= slips => format!(", perhaps `{name}`"),
-        _ => String::new(),
-    }
+    let (_, name) = told.min().filter(|(distance, _)| *distance <= slips)?;
+    Some(name)
+}
+
+/// `, perhaps `X``: the known name most similar to the meant one, within three edits.
+#[must_use]
+pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>) -> String {
+    piece(nearest(meant, known, 3), |name| format!(", perhaps `{name}`"))
 }
 
 /// Prints one value: pretty-printed JSON, one line of NDJSON, or by `table`.
@@ -277,7 +293,6 @@ fn aligned(header: &[&str], rows: &[&[String]]) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use serde_json::json;
 

@@ -7,7 +7,7 @@ use serde::Serialize;
 use zenav_protocol::messages::GoalPoint;
 use zenav_sim::Truth;
 
-use crate::output::counted;
+use crate::output::{counted, piece, table};
 use crate::wall_following::score::Kept;
 
 /// Outcome of a scenario.
@@ -111,16 +111,10 @@ impl WallReport {
             ),
             ("control ticks missed", self.missed_ticks.to_string()),
         ];
-        let transitions = self
-            .transitions
-            .iter()
-            .map(|(name, count)| (name.as_str(), count.to_string()));
-        rows.extend(transitions);
-        let rows: Vec<Vec<String>> = rows
-            .into_iter()
-            .map(|(what, value)| vec![what.to_owned(), value])
-            .collect();
-        crate::output::table(&["WHAT", "VALUE"], &rows)
+        let transitions = self.transitions.iter();
+        rows.extend(transitions.map(|(name, count)| (name.as_str(), count.to_string())));
+        let rows = rows.into_iter().map(|(what, value)| [what.to_owned(), value]);
+        table(&["WHAT", "VALUE"], rows)
     }
 }
 
@@ -169,8 +163,8 @@ pub fn per_metre(joules: f64, metres: f64) -> Option<f64> {
 /// Energy drawn, and per metre if known, in words.
 #[must_use]
 pub fn energy(joules: f64, per_metre: Option<f64>) -> String {
-    let per_metre = per_metre.map(|energy| format!(" ({energy:.0} J/m)"));
-    format!("{joules:.0} J{}", per_metre.unwrap_or_default())
+    let per_metre = piece(per_metre, |energy| format!(" ({energy:.0} J/m)"));
+    format!("{joules:.0} J{per_metre}")
 }
 
 /// Least clearance, m, in words; infinite if there were no obstacles.
@@ -275,29 +269,22 @@ impl DemoReport {
     /// The report as text.
     #[must_use]
     pub fn text(&self) -> String {
-        let rows: Vec<Vec<String>> = self
-            .goals
-            .iter()
-            .map(|goal| {
-                // The reason is printed below the table: it is longer than a column.
-                let outcome = goal.failure().map_or(REACHED, |_| "not reached");
-                vec![
-                    goal.name.clone(),
-                    outcome.to_owned(),
-                    format!("{:.1}", goal.time_s),
-                    format!("{:.2}", goal.length_m),
-                    short(Some(goal.min_clearance_m).filter(|clearance| clearance.is_finite()), 3),
-                    short(goal.final_error_m, 3),
-                    short(goal.energy_per_m, 0),
-                ]
-            })
-            .collect();
+        let row = |goal: &GoalReport| {
+            // The reason is printed below the table: it is longer than a column.
+            let outcome = goal.failure().map_or(REACHED, |_| "not reached");
+            [
+                goal.name.clone(),
+                outcome.to_owned(),
+                format!("{:.1}", goal.time_s),
+                format!("{:.2}", goal.length_m),
+                short(Some(goal.min_clearance_m).filter(|clearance| clearance.is_finite()), 3),
+                short(goal.final_error_m, 3),
+                short(goal.energy_per_m, 0),
+            ]
+        };
         let header = ["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m", "J/m"];
-        let table = self
-            .walls
-            .as_ref()
-            .map_or_else(|| crate::output::table(&header, &rows), WallReport::text);
-        let mut lines = vec![table];
+        let goals = || table(&header, self.goals.iter().map(row));
+        let mut lines = vec![self.walls.as_ref().map_or_else(goals, WallReport::text)];
         let reasons = self.goals.iter().filter_map(|goal| Some((&goal.name, goal.failure()?)));
         lines.extend(reasons.map(|(name, reason)| format!("{name}: {reason}")));
         let latency = &self.latency;
@@ -307,18 +294,14 @@ impl DemoReport {
             ScenarioOutcome::Succeeded => "succeeded",
             ScenarioOutcome::Failed => "failed",
         };
-        let reason = self.reason.as_ref().map(|reason| format!(", {reason}"));
+        let reason = piece(self.reason.as_ref(), |reason| format!(", {reason}"));
         lines.push(format!(
-            "{} (seed {}{map}): {outcome}{}",
-            self.scenario,
-            self.seed,
-            reason.unwrap_or_default()
+            "{} (seed {}{map}): {outcome}{reason}",
+            self.scenario, self.seed
         ));
         for goal in &self.refused {
-            let near = goal
-                .nearest_free
-                .map(|near| format!("; nearest free place {:.2}, {:.2}", near.x, near.y))
-                .unwrap_or_default();
+            let near = |near: GoalPoint| format!("; nearest free place {:.2}, {:.2}", near.x, near.y);
+            let near = piece(goal.nearest_free, near);
             lines.push(format!("refused: goal {}: {}{near}", goal.name, goal.reason));
         }
         lines.push(format!(

@@ -16,7 +16,7 @@ use zenav_edge::avoidance::{Ahead, Avoidance, AvoidanceInput, Control};
 use zenav_edge::collision_monitor::CollisionMonitor;
 use zenav_edge::local_obstacles::LocalObstacles;
 use zenav_edge::settings::AvoidanceSettings;
-use zenav_fixtures::ThreadTime;
+use zenav_fixtures::{ThreadTime, on_thread_time};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::Bump;
 use zenav_protocol::time::Stamp;
@@ -101,7 +101,7 @@ fn decision(criterion: &mut Criterion<ThreadTime>) {
 
 criterion_group! {
     name = benches;
-    config = Criterion::default().with_measurement(ThreadTime);
+    config = on_thread_time();
     targets = decision
 }
 criterion_main!(benches);

@@ -5,7 +5,7 @@
 //! through it, another has left the field of view.
 //!
 //! parry gets the same points in shapes and trees of its own, built beforehand, and must give the same answers. Its tree over points can
-//! only give the first contact of all; the monitor needs that of each point.
+//! only give the first contact of all; the monitor needs that of each point. Times are the thread's own, independent of other load.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(clippy::unwrap_used, reason = "a bench")]
@@ -24,6 +24,7 @@ use zenav_edge::avoidance::clearance_grid::{CELL, ClearanceGrid};
 use zenav_edge::collision_monitor::CollisionMonitor;
 use zenav_edge::local_obstacles::LocalObstacles;
 use zenav_edge::time_to_contact::SweptFootprint;
+use zenav_fixtures::{Pair, ThreadTime, on_thread_time};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::Bump;
 use zenav_protocol::polygon::{Edge, contains, edges, touch};
@@ -80,7 +81,7 @@ fn history(model: &RobotModel, people: bool) -> Vec<(Sweep, Pose2)> {
         .collect()
 }
 
-fn decision(criterion: &mut Criterion) {
+fn decision(criterion: &mut Criterion<ThreadTime>) {
     let bump = Bump {
         stamp: Stamp::ZERO,
         pressed: false,
@@ -104,7 +105,7 @@ fn decision(criterion: &mut Criterion) {
             ] {
                 let mut monitor = CollisionMonitor::new(&model, 0.02);
                 monitor.blind_speed = v;
-                criterion.bench_function(&format!("guard/decision/{name}/{with}/{motion}"), |bencher| {
+                criterion.bench_function(&format!("monitor/decision/{name}/{with}/{motion}"), |bencher| {
                     bencher.iter(|| {
                         monitor.judge(
                             Stamp::from_secs(3.0),
@@ -162,7 +163,7 @@ fn lattice(first: (f64, f64), step: (f64, f64)) -> Vec<Point2<f64>> {
 }
 
 /// Time to contact on an arc.
-fn contact(criterion: &mut Criterion) {
+fn contact(criterion: &mut Criterion<ThreadTime>) {
     for name in ["tiago", "jackal"] {
         let model = model(name);
         let v = model.drive.top_speed();
@@ -172,8 +173,11 @@ fn contact(criterion: &mut Criterion) {
         let body = match &model.footprint {
             Footprint::Radius(radius) => SharedShape::ball(*radius),
             Footprint::Polygon(corners) => {
-                let corners = corners.iter().map(|corner| vector(*corner)).collect();
-                SharedShape::convex_polyline_unmodified(corners).unwrap()
+                // Jackal's is a rectangle around its base, for which parry has a shorter way than for other polygons.
+                let sizes = || corners.iter().map(|corner| vector(*corner).abs());
+                let half = sizes().fold(Vector::ZERO, Vector::max);
+                assert!(sizes().all(|size| size == half), "{name}: {corners:?}");
+                SharedShape::cuboid(half.x, half.y)
             }
         };
         let center = Vector::new(0.0, 1.0 / CURVATURE);
@@ -214,8 +218,11 @@ fn contact(criterion: &mut Criterion) {
         let first = cast(&in_place, &tree).unwrap();
         assert!((closed_form() - first).abs() < TOLERANCE, "{name}: {first} s");
 
-        let mut group = criterion.benchmark_group(format!("contact on an arc/{name}"));
+        let title = format!("contact on an arc, {name}");
+        let mut group = criterion.benchmark_group(&title);
         group.sample_size(20);
+        pair(&title, "closed form", "parry, point by point");
+        pair(&title, "closed form", "parry, a tree of the points");
         group.bench_function("closed form", |bencher| bencher.iter(closed_form));
         group.bench_function("parry, point by point", |bencher| bencher.iter(one_by_one));
         group.bench_function("parry, a tree of the points", |bencher| {
@@ -226,7 +233,7 @@ fn contact(criterion: &mut Criterion) {
 }
 
 /// Distances of an outline from points, points in it, and edges that meet it.
-fn outline(criterion: &mut Criterion) {
+fn outline(criterion: &mut Criterion<ThreadTime>) {
     let corners = OUTLINE.map(|(x, y)| Point2::new(x, y)).to_vec();
     let polygon =
         ConvexPolygon::from_convex_polyline_unmodified(corners.iter().map(|corner| vector(*corner)).collect());
@@ -255,6 +262,9 @@ fn outline(criterion: &mut Criterion) {
     }
 
     let mut group = criterion.benchmark_group("outline");
+    pair("outline", "distance, edge by edge", "distance, parry");
+    pair("outline", "contains, crossings", "contains, parry");
+    pair("outline", "edges that touch, sides", "edges that touch, parry");
     group.bench_function("distance, edge by edge", |bencher| {
         bencher.iter(|| points.iter().map(|point| footprint.distance(*point)).sum::<f64>());
     });
@@ -285,7 +295,7 @@ fn outline(criterion: &mut Criterion) {
 }
 
 /// Clearances of many places from the points of a scan.
-fn clearances(criterion: &mut Criterion) {
+fn clearances(criterion: &mut Criterion<ThreadTime>) {
     let points = seen(&model("jackal"));
     let dots: Vec<Vector> = points.iter().map(|point| vector(*point)).collect();
     let boxes: Vec<Aabb> = dots.iter().map(|dot| Aabb::new(*dot, *dot)).collect();
@@ -309,6 +319,8 @@ fn clearances(criterion: &mut Criterion) {
     }
 
     let mut group = criterion.benchmark_group("clearances");
+    pair("clearances", "chamfer grid, filled", "tree of parry, built");
+    pair("clearances", "chamfer grid, look-ups", "tree of parry, look-ups");
     group.bench_function("chamfer grid, filled", |bencher| {
         bencher.iter(|| grid.fill(Point2::origin(), black_box(&points)));
     });
@@ -322,5 +334,14 @@ fn clearances(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, decision, contact, outline, clearances);
+/// Names a function of parry's as the peer of ours in its group.
+fn pair(group: &str, ours: &str, theirs: &str) {
+    Pair::new(format!("{group}/{ours}"), theirs, format!("{group}/{theirs}")).print();
+}
+
+criterion_group! {
+    name = benches;
+    config = on_thread_time();
+    targets = decision, contact, outline, clearances
+}
 criterion_main!(benches);

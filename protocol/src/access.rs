@@ -133,7 +133,6 @@ fn is_asked(asker: Asker, role: Role) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

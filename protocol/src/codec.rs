@@ -147,18 +147,6 @@ pub(crate) fn encode_cbor<T: Serialize + ?Sized>(message: &T) -> Result<Vec<u8>,
     Ok(bytes)
 }
 
-/// Encodes a message of at most `max_bytes`, which is all that a receiver decodes.
-///
-/// # Errors
-/// [`CodecError::TooLarge`]; as [`encode`].
-pub fn encode_within<T: Serialize + ?Sized>(
-    message: &T,
-    encoding: Encoding,
-    max_bytes: usize,
-) -> Result<Vec<u8>, CodecError> {
-    within(encode(message, encoding)?, max_bytes)
-}
-
 /// An encoded message, if a receiver decodes that many bytes.
 pub(crate) fn within(bytes: Vec<u8>, max_bytes: usize) -> Result<Vec<u8>, CodecError> {
     check_size(&bytes, max_bytes)?;
@@ -209,7 +197,6 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8], encoding: Encoding, max_bytes: 
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
     use serde::Deserialize;

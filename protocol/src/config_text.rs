@@ -280,7 +280,6 @@ fn nearest(text: &str, key: &str) -> Option<(usize, bool)> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -89,7 +89,6 @@ pub struct DriveErrors {
     pub dead_time: f64,
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
 pub(crate) fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
@@ -264,7 +263,6 @@ impl Drive {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::robot::{RobotModel, shipped};

@@ -93,7 +93,6 @@ impl RobotModel {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::geometry::Twist2;

@@ -164,7 +164,6 @@ fn ordered((than, less): (&str, f64), (key, more): (&str, f64)) -> Result<(), Ou
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::settings::Settings;

@@ -12,7 +12,7 @@
 //! let free = Tile { x: 0, y: 0, values: vec![Occupancy::FREE; (TILE * TILE) as usize] };
 //! let mut patch = MapPatch {
 //!     stamp: Stamp(1),
-//!     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+//!     map: MapRef::new("kitchen", 1),
 //!     base_revision: 0,
 //!     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
 //!     tiles: vec![free],

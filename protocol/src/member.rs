@@ -105,7 +105,6 @@ impl fmt::Display for Member {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

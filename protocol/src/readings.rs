@@ -106,7 +106,6 @@ macro_rules! readings {
 crate::sensor_kinds!(readings []);
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

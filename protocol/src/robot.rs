@@ -148,10 +148,7 @@ impl Footprint {
         match self {
             Self::Radius(radius) => *radius,
             Self::Polygon(corners) => {
-                let distance = |Edge { a, b }| {
-                    let d = b - a;
-                    (d.x * a.y - d.y * a.x).abs() / d.norm()
-                };
+                let distance = |Edge { a, b }| polygon::cross(b - a, a.coords).abs() / (b - a).norm();
                 polygon::edges(corners).map(distance).fold(f64::INFINITY, f64::min)
             }
         }
@@ -206,7 +203,7 @@ impl Footprint {
                 let mut nearest = f64::INFINITY;
                 for Edge { a, b } in polygon::edges(corners) {
                     let (along, to) = (b - a, point - a);
-                    inside &= along.x * to.y - along.y * to.x >= 0.0;
+                    inside &= polygon::cross(along, to) >= 0.0;
                     let share = (to.dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
                     nearest = nearest.min((to - along * share).norm());
                 }

@@ -208,7 +208,6 @@ fn outline_problem(corners: &[Point2<f64>]) -> Option<String> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::robot::{SHIPPED, shipped};

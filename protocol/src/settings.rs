@@ -302,7 +302,6 @@ pub fn check<T: Bounded>(key: &str, value: T, unit: &str, bounds: &impl RangeBou
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

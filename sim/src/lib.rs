@@ -22,6 +22,7 @@
 //! | [`simulation`] | how does everything advance together? |
 //! | [`scatter`] | where can many robots start? |
 //! | [`made_worlds`] | which worlds need no file? |
+//! | [`capacity`] | how many rays and robots does this machine hold? |
 //!
 //! The world frame is the map frame. Metres, radians, seconds.
 //!
@@ -46,6 +47,7 @@
 pub mod body;
 pub mod boxes;
 mod bridge;
+pub mod capacity;
 pub mod chassis;
 pub mod clearance;
 pub mod crowd;

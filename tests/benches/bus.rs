@@ -38,16 +38,18 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             row.raw.p99_us,
             row.ratio_p99
         );
-        Row::new(
-            match row.over {
-                "TCP" => format!("{} of {} bytes, p50", row.what, row.bytes),
-                over => format!("{} of {} bytes over {over}, p50", row.what, row.bytes),
-            },
-            row.typed.p50_us,
-            "us",
-        )
-        .beside("raw Zenoh", row.raw.p50_us)
-        .print();
+        let over = if row.over == "TCP" {
+            String::new()
+        } else {
+            format!(" over {}", row.over)
+        };
+        for (share, typed, raw) in [
+            ("p50", row.typed.p50_us, row.raw.p50_us),
+            ("p99", row.typed.p99_us, row.raw.p99_us),
+        ] {
+            let name = format!("{} of {} bytes{over}, {share}", row.what, row.bytes);
+            Row::new(name, typed, "us").beside("raw Zenoh", raw).print();
+        }
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! How long does each stage from scan to plan take, and one tick of an edge and of a tree? `cargo bench -p zenav-tests --bench pipeline`
 //!
-//! The cores alone, without a network: what the bus adds is in the bench `bus`, the whole way over Zenoh in the report of `zenav demo`.
+//! The cores alone, without a network, in processor time of the thread: what the bus adds is in the bench `bus`, the whole way over Zenoh
+//! in the report of `zenav demo`.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(
@@ -18,7 +19,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_cloud::motion::worker::{Cancel, MotionWorker};
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
-use zenav_fixtures::robot;
+use zenav_fixtures::{ThreadTime, on_thread_time, robot};
 use zenav_mapping::{Mapper, MappingSettings};
 use zenav_planning::{Budget, PlanOptions, Planner, Query, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -124,7 +125,7 @@ fn kitchen(scans: &[Scan]) -> (Mapper, MapReplica) {
     (mapper, mirror)
 }
 
-fn mapping(criterion: &mut Criterion) {
+fn mapping(criterion: &mut Criterion<ThreadTime>) {
     let (scans, _) = recorded();
     let (mapped, _) = kitchen(&scans);
     let last = scans.last().unwrap();
@@ -146,7 +147,7 @@ fn mapping(criterion: &mut Criterion) {
     });
 }
 
-fn search(criterion: &mut Criterion) {
+fn search(criterion: &mut Criterion<ThreadTime>) {
     let (scans, _) = recorded();
     let (_, mirror) = kitchen(&scans);
     let space = ConfigurationSpace::new(mirror.grid(), &model().footprint, UnknownPolicy::Free, 0.0);
@@ -195,7 +196,7 @@ fn search(criterion: &mut Criterion) {
     group.finish();
 }
 
-fn smoothing(criterion: &mut Criterion) {
+fn smoothing(criterion: &mut Criterion<ThreadTime>) {
     let (scans, _) = recorded();
     let (_, mirror) = kitchen(&scans);
     let model = model();
@@ -230,7 +231,7 @@ fn smoothing(criterion: &mut Criterion) {
 }
 
 /// From a scan in hand to a trajectory in hand: insert, patch, mirror, configuration space, search, smooth.
-fn scan_to_plan(criterion: &mut Criterion) {
+fn scan_to_plan(criterion: &mut Criterion<ThreadTime>) {
     let (scans, _) = recorded();
     let (mut mapper, mut mirror) = kitchen(&scans);
     let mut worker = MotionWorker::default();
@@ -293,7 +294,7 @@ fn scan_to_plan(criterion: &mut Criterion) {
     });
 }
 
-fn ticks(criterion: &mut Criterion) {
+fn ticks(criterion: &mut Criterion<ThreadTime>) {
     let mut tree = reactive_tree(1000).unwrap();
     let mut now = Duration::ZERO;
     criterion.bench_function("tick of a tree of 1000 nodes", |bencher| {
@@ -407,5 +408,9 @@ impl Driven {
     }
 }
 
-criterion_group!(benches, mapping, search, smoothing, scan_to_plan, ticks);
+criterion_group! {
+    name = benches;
+    config = on_thread_time();
+    targets = mapping, search, smoothing, scan_to_plan, ticks
+}
 criterion_main!(benches);

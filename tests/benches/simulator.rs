@@ -14,12 +14,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use zenav::batch::sim_bench::{rays, run};
 use zenav_fixtures::{Row, robot, thread_time};
 use zenav_mapping::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_sim::capacity::{rays, run};
 use zenav_sim::made_worlds::{office, polygons};
 use zenav_sim::{RobotSpec, Simulation, World};
 

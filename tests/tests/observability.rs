@@ -151,13 +151,19 @@ async fn every_declared_metric_shows_in_a_scrape_of_a_robot_that_drove() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_part_says_what_it_waits_for_when_it_is_ready_and_when_its_router_goes_and_comes_back() {
     let deployment = Deployment::new(ZENAV, "kitchen", 1.0);
-    let part = |service: &'static str| {
-        let place = ["--connect", &deployment.router, "--data", service];
-        let arguments = [&["cloud", service][..], &place, &METRICS].concat();
+    let part = |part: &[&str]| {
+        let arguments = [part, &["--connect", &deployment.router], &METRICS].concat();
         Process::start(ZENAV, &arguments, deployment.folder())
     };
-    let mut parts = ["mapping", "motion", "mission"].map(part);
-    let addresses = parts.each_mut().map(address);
+    let services = ["mapping", "motion", "mission"];
+    let mut parts: Vec<Process> = services
+        .into_iter()
+        .map(|service| part(&["cloud", service, "--data", service]))
+        .collect();
+    parts.push(part(&["gateway", "--listen", "127.0.0.1:0"]));
+    // The only one that does not wait with everything else.
+    parts.push(part(&["edge", "--listen", "tcp/127.0.0.1:0", "--data", "edge"]));
+    let addresses: Vec<String> = parts.iter_mut().map(address).collect();
     for (part, health) in parts.iter_mut().zip(&addresses) {
         assert_eq!(get(health, "/livez").status, 200);
         let missing = readiness(health, "it waits for a router", |_, text| {
@@ -165,6 +171,9 @@ async fn a_part_says_what_it_waits_for_when_it_is_ready_and_when_its_router_goes
         });
         assert!(missing.contains(": a router is linked\n"), "{missing}");
         assert_eq!(get(health, "/readyz").status, 503);
+        part.assert_running();
+    }
+    for part in parts.iter_mut().rev().skip(1) {
         part.until("waits for a router", LONG);
     }
     let mut router = deployment.start_router();
@@ -289,7 +298,15 @@ async fn a_trace_follows_a_scan_from_the_lidar_to_the_wheels() {
         "plan to wheels",
     ];
     let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
-    let mut up = deployment.start_up_with(&["--no-gateway", "--trace", "trace.jsonl"]);
+    // As on three machines: each process has a file of its own.
+    let _router = deployment.start_router();
+    let (router, own) = (deployment.router.as_str(), deployment.edge.as_str());
+    let edge = ["edge", "--listen", own, "--speed", "4", "--trace", "edge.jsonl"];
+    let cloud = ["cloud", "all", "--trace", "cloud.jsonl"];
+    let mut parts = [(&edge[..], "edge"), (&cloud[..], "cloud")].map(|(part, data)| {
+        let place = ["--connect", router, "--data", data, "--world", "kitchen"];
+        Process::start(ZENAV, &[part, &place].concat(), deployment.folder())
+    });
     let bus = deployment.bus().await;
     Observer::new(&bus, ROBOT)
         .until("a mission commands the robot", LONG, |state| state.lease.live)
@@ -299,9 +316,12 @@ async fn a_trace_follows_a_scan_from_the_lidar_to_the_wheels() {
     for y in ["-0.2", "0.3"].iter().cycle() {
         let driven = deployment.client(&["goal", "submit", "--wait", "-0.9", y]);
         assert_eq!(driven.status.code(), Some(0), "{driven:?}");
-        let text = std::fs::read_to_string(deployment.folder().join("trace.jsonl")).unwrap();
-        let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
-        let spans: Vec<Value> = whole.lines().map(span).collect();
+        let mut spans = Vec::new();
+        for file in ["edge.jsonl", "cloud.jsonl"] {
+            let text = std::fs::read_to_string(deployment.folder().join(file)).unwrap();
+            let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+            spans.extend(whole.lines().map(span));
+        }
         let parent = |child: &Value| {
             spans
                 .iter()
@@ -323,7 +343,7 @@ async fn a_trace_follows_a_scan_from_the_lidar_to_the_wheels() {
         }
         assert!(Instant::now() < deadline, "{ways:?}");
     }
-    up.assert_running();
+    parts.iter_mut().for_each(Process::assert_running);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 use std::process::Output;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use zenav_cloud::operator::LeaseSession;
 use zenav_protocol::bus::{AskError, Bus, RawReply, RawSubscription};
@@ -457,6 +457,27 @@ async fn a_link_ends_with_its_certificate() {
         "{}",
         said(&late)
     );
+}
+
+/// Longer than the lease of a link and a handshake: who dials a frozen router has given up once or twice.
+const FROZEN: Duration = Duration::from_secs(10);
+
+#[test]
+fn a_router_that_was_frozen_lets_parts_in_again_within_seconds() {
+    let fleet = SecuredFleet::new(ZENAV, 1.0, &["router.site1", "service.site1"]);
+    let mut router = fleet.start_router("router.site1");
+    router.until("router up", LIMIT);
+    let mut cloud = fleet.start_cloud("service.site1");
+    cloud.until("ready part=\"motion", LIMIT);
+    router.pause().unwrap();
+    cloud.until("router lost part=\"motion", LIMIT);
+    std::thread::sleep(FROZEN);
+    router.resume().unwrap();
+    let woken = Instant::now();
+    router.until("starts anew", LIMIT);
+    cloud.until("router back part=\"motion", LIMIT);
+    // Without a new process Zenoh waits half a minute for what was given up.
+    assert!(woken.elapsed() < Duration::from_secs(12), "{:?}", woken.elapsed());
 }
 
 #[test]

@@ -180,6 +180,14 @@ impl LeafIo<'_> {
         }
     }
 
+    /// The number on a port, or another one if the port is not set or its entry has no value.
+    ///
+    /// # Errors
+    /// [`PortError::Type`].
+    pub fn number_or(&self, port: &str, otherwise: f64) -> Result<f64, PortError> {
+        Ok(self.get_optional(port)?.unwrap_or(otherwise))
+    }
+
     /// Reads structured data; text is parsed as JSON.
     ///
     /// # Errors

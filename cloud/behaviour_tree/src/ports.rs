@@ -306,6 +306,13 @@ pub enum PortError {
     Literal(String),
 }
 
+/// The text of the error, as the reason of a leaf that fails.
+impl From<PortError> for String {
+    fn from(error: PortError) -> Self {
+        error.to_string()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,6 +6,7 @@
 //! A node is halted exactly once for every start that it did not finish: [`Run::reset`] halts a node only if it is `Running`, and leaves it
 //! `Idle`. A node with children is `Running` while they are ticked, so an error below it halts it, too.
 
+use std::ops::{Index, IndexMut};
 use std::time::Duration;
 
 use super::blackboard::Blackboard;
@@ -39,12 +40,31 @@ pub(crate) enum Body<C> {
     Decorator(Box<dyn Decorator<C>>),
 }
 
+/// The run-time states of a tree's nodes, by their ids.
+pub(crate) struct States<'a>(pub(crate) &'a mut [NodeState]);
+
+impl Index<NodeId> for States<'_> {
+    type Output = NodeState;
+
+    #[inline]
+    fn index(&self, id: NodeId) -> &NodeState {
+        &self.0[id as usize]
+    }
+}
+
+impl IndexMut<NodeId> for States<'_> {
+    #[inline]
+    fn index_mut(&mut self, id: NodeId) -> &mut NodeState {
+        &mut self.0[id as usize]
+    }
+}
+
 /// One tick in progress: the tree split into fixed and changing parts.
 pub(crate) struct Run<'a, C> {
     pub(crate) nodes: &'a [Node<C>],
     pub(crate) infos: &'a [Info],
     pub(crate) children: &'a [NodeId],
-    pub(crate) states: &'a mut [NodeState],
+    pub(crate) states: States<'a>,
     pub(crate) memories: &'a mut [Memory],
     pub(crate) bodies: &'a mut [Body<C>],
     pub(crate) board: &'a mut Blackboard,
@@ -70,7 +90,7 @@ impl<'a, C> Run<'a, C> {
         }
         let nodes: &'a [Node<C>] = self.nodes;
         let node = &nodes[id as usize];
-        let before = self.states[id as usize].status;
+        let before = self.states[id].status;
         let status = match &node.guards {
             None => self.enter(id, node, before)?,
             Some(guards) => {
@@ -80,7 +100,7 @@ impl<'a, C> Run<'a, C> {
                 };
                 if status.is_completed() {
                     // It has ended: an error in these scripts does not halt it.
-                    self.states[id as usize].status = status;
+                    self.states[id].status = status;
                     self.after(id, guards, status)?;
                 }
                 status
@@ -98,7 +118,7 @@ impl<'a, C> Run<'a, C> {
             (Status::Skipped, before) => before,
             (other, _) => other,
         };
-        let state = &mut self.states[id as usize];
+        let state = &mut self.states[id];
         if state.last != status {
             self.changes += 1;
         }
@@ -109,7 +129,7 @@ impl<'a, C> Run<'a, C> {
 
     fn enter(&mut self, id: NodeId, node: &'a Node<C>, before: Status) -> Answer {
         if before != Status::Running {
-            bump(&mut self.states[id as usize].starts);
+            bump(&mut self.states[id].starts);
         }
         match &node.role {
             Role::Builtin(builtin) => {
@@ -125,7 +145,7 @@ impl<'a, C> Run<'a, C> {
 
     /// From here on the node counts as running: an error below it halts it with its children.
     fn starts_children(&mut self, id: NodeId) {
-        self.states[id as usize].status = Status::Running;
+        self.states[id].status = Status::Running;
     }
 
     /// `_failureIf`, `_successIf`, `_skipIf`, in this order, before a node starts; `_while` before it starts and before each of its ticks:
@@ -170,10 +190,10 @@ impl<'a, C> Run<'a, C> {
 
     /// Sets a node back to `Idle`; a `Running` node is halted first.
     pub(crate) fn reset(&mut self, id: NodeId) {
-        if self.states[id as usize].status == Status::Running {
+        if self.states[id].status == Status::Running {
             self.halt(id);
         }
-        let state = &mut self.states[id as usize];
+        let state = &mut self.states[id];
         state.status = Status::Idle;
         state.done = false;
         if state.count != 0
@@ -193,7 +213,7 @@ impl<'a, C> Run<'a, C> {
     /// Ends an activation with this answer: every child is reset, `cursor` and `count` start over.
     pub(crate) fn finish(&mut self, id: NodeId, status: Status) -> Status {
         self.reset_children(id);
-        let state = &mut self.states[id as usize];
+        let state = &mut self.states[id];
         (state.cursor, state.count) = (0, 0);
         status
     }
@@ -208,7 +228,7 @@ impl<'a, C> Run<'a, C> {
         if let Role::Leaf(body) | Role::Decorator(body) = &node.role {
             self.halt_body(id, *body);
         }
-        let state = &mut self.states[id as usize];
+        let state = &mut self.states[id];
         state.status = Status::Idle;
         match &node.role {
             Role::Builtin(builtin) => builtin.after_halt(state),
@@ -264,7 +284,7 @@ impl<'a, C> Run<'a, C> {
             None => Ok(status),
             Some(why) => {
                 // The leaf has ended itself: nothing is left to halt.
-                self.states[id as usize].status = Status::Idle;
+                self.states[id].status = Status::Idle;
                 Err(self.fault(id, why))
             }
         }
@@ -272,7 +292,7 @@ impl<'a, C> Run<'a, C> {
 
     fn decorator(&mut self, id: NodeId, body: u32, before: Status) -> Answer {
         let child = self.child(id, 0)?;
-        let child_status = self.states[child as usize].status;
+        let child_status = self.states[child].status;
         let (mut io, bodies, ctx) = self.io(id, before);
         let Some(Body::Decorator(decorator)) = bodies.get_mut(body as usize) else {
             return Err(Stop);
@@ -299,7 +319,7 @@ impl<'a, C> Run<'a, C> {
             None => Ok(status),
             Some(why) => {
                 // It has ended itself, as a leaf does.
-                self.states[id as usize].status = Status::Idle;
+                self.states[id].status = Status::Idle;
                 Err(self.fault(id, why))
             }
         }

@@ -6,7 +6,7 @@ use super::blackboard::{Blackboard, Slot};
 use super::node::{Info, Memory, Node, NodeId, NodeState, Role, nanos};
 use super::nodes::PauseEntries;
 use super::status::Status;
-use super::tick::{Body, Run, Stop};
+use super::tick::{Body, Run, States, Stop};
 use super::value::Value;
 
 /// Most rounds of one tick: an endless retry of a child that fails at once continues in the next tick.
@@ -244,7 +244,7 @@ impl<C> Tree<C> {
             nodes: &self.nodes,
             infos: &self.infos,
             children: &self.children,
-            states: &mut self.states,
+            states: States(&mut self.states),
             memories: &mut self.memories,
             bodies: &mut self.bodies,
             board: &mut self.board,

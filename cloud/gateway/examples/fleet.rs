@@ -114,11 +114,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{}", client.frame(&view, 0.0, true).text.unwrap_or_default());
         return Ok(());
     }
-    let home = GoalPoint {
-        x: 0.0,
-        y: 0.0,
-        yaw: None,
-    };
+    let home = GoalPoint::at(0.0, 0.0);
     let hub = Hub::new(GatewaySettings::default(), BTreeMap::from([("home".to_owned(), home)]));
     let stops = Arc::new(Stops::default());
     let (listener, address) = listen("127.0.0.1:0").await?;

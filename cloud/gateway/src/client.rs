@@ -199,7 +199,6 @@ fn push_string(text: &mut String, value: &str) {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use serde_json::{Value, json};
@@ -246,11 +245,7 @@ mod tests {
         };
         Update::Patch(MapPatch {
             stamp: Stamp(revision),
-            map: MapRef {
-                id: "m".into(),
-                revision,
-                frame: 0,
-            },
+            map: MapRef::new("m", revision),
             base_revision,
             spec: GridSpec {
                 origin: Point2::origin(),

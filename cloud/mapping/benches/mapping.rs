@@ -20,7 +20,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use nalgebra::{Point2, Vector2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_fixtures::thread_time;
+use zenav_fixtures::{Pair, ThreadTime, on_thread_time};
 use zenav_mapping::carmen::{self, LOG_BEAMS};
 use zenav_mapping::{BeamSettings, InsertMode, agreement, build_map};
 use zenav_protocol::geometry::Pose2;
@@ -161,7 +161,7 @@ fn inputs() -> Vec<Input> {
     inputs
 }
 
-fn insertion(criterion: &mut Criterion) {
+fn insertion(criterion: &mut Criterion<ThreadTime>) {
     for input in inputs() {
         let build = |mode| build_map(&input.scans, RESOLUTION, mode, &input.beams).unwrap();
         let [reference, fast] = [InsertMode::Reference, InsertMode::Fast].map(|mode| build(mode).map.to_occupancy());
@@ -173,24 +173,24 @@ fn insertion(criterion: &mut Criterion) {
             agreement.occupied,
             agreement.free
         );
-        let mut group = criterion.benchmark_group(format!("insert {}", input.name));
+        let title = format!("insert {}", input.name);
+        Pair::new(format!("{title}/fast"), "beam by beam", format!("{title}/reference")).print();
+        let mut group = criterion.benchmark_group(&title);
         group
             .throughput(Throughput::Elements(input.scans.len() as u64))
             .sample_size(20);
         for (name, mode) in [("reference", InsertMode::Reference), ("fast", InsertMode::Fast)] {
             group.bench_function(BenchmarkId::from_parameter(name), |bencher| {
-                bencher.iter_custom(|times| {
-                    let start = thread_time();
-                    for _ in 0..times {
-                        std::hint::black_box(build(mode));
-                    }
-                    thread_time() - start
-                });
+                bencher.iter(|| build(mode));
             });
         }
         group.finish();
     }
 }
 
-criterion_group!(benches, insertion);
+criterion_group! {
+    name = benches;
+    config = on_thread_time();
+    targets = insertion
+}
 criterion_main!(benches);

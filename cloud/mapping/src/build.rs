@@ -168,19 +168,12 @@ pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement 
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::time::Stamp;
 
     use super::*;
-
-    const BEAMS: BeamSettings = BeamSettings {
-        trim: 0,
-        max_range: None,
-        clear_without_return: false,
-        lost_run: 0,
-    };
+    use crate::carmen::LOG_BEAMS;
 
     /// Two scans with two returns each.
     fn scans() -> Vec<Scan> {
@@ -201,7 +194,7 @@ mod tests {
     #[test]
     fn a_map_agrees_with_itself_and_not_with_an_empty_one() {
         let scans = scans();
-        let build = |scans: &[Scan]| build_map(scans, 0.05, InsertMode::Reference, &BEAMS).unwrap();
+        let build = |scans: &[Scan]| build_map(scans, 0.05, InsertMode::Reference, &LOG_BEAMS).unwrap();
         assert_eq!(build(&scans).beams, 4);
         let map = build(&scans).map.to_occupancy();
         assert_eq!(
@@ -225,7 +218,7 @@ mod tests {
     #[test]
     fn a_map_that_would_be_too_large_is_refused_with_the_finest_resolution_there_is_room_for() {
         let scans = scans();
-        let build = |resolution| build_map(&scans, resolution, InsertMode::Fast, &BEAMS).map(|built| built.beams);
+        let build = |resolution| build_map(&scans, resolution, InsertMode::Fast, &LOG_BEAMS).map(|built| built.beams);
         let refused = build(1e-5).unwrap_err();
         assert!(refused.to_string().contains("268435456 in all"), "{refused}");
         let BuildError::TooLarge { finest, .. } = refused else {

@@ -555,5 +555,4 @@ pub const LOG_BEAMS: BeamSettings = BeamSettings {
 };
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests;

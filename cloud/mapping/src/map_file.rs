@@ -350,7 +350,6 @@ pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -193,15 +193,13 @@ pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
             width: 1,
             height: 1,
             gray: vec![UNKNOWN_GRAY],
-            opacity: None,
-            comments: Vec::new(),
+            ..picture
         };
     }
     encode_png(&picture)
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use proptest::prelude::*;

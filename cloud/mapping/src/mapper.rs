@@ -90,11 +90,7 @@ impl Mapper {
         Self {
             grid: decaying(LogOddsGrid::new(settings.resolution, &settings.sensor_model), &settings),
             footprint: None,
-            map: MapRef {
-                id: map_id.into(),
-                revision: 0,
-                frame: 0,
-            },
+            map: MapRef::new(map_id, 0),
             stamp: Stamp::ZERO,
             newest: Vec::new(),
             scans: 0,
@@ -117,7 +113,7 @@ impl Mapper {
     ///
     /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 20, height: 10 };
     /// let map = OccupancyGrid::filled(spec, Occupancy::FREE);
-    /// let stored = MapRef { id: "kitchen".into(), revision: 7, frame: 0 };
+    /// let stored = MapRef::new("kitchen", 7);
     /// let mut mapper = Mapper::with_stored(MappingSettings::default(), stored, &map, Vec::new(), 100);
     /// assert!(mapper.is_held() && mapper.info().stored);
     /// assert_eq!(mapper.take_patch().unwrap().map.revision, 8);
@@ -528,7 +524,6 @@ impl MapSnapshot {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::grid::Occupancy;
 

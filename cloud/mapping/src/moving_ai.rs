@@ -184,7 +184,6 @@ pub fn parse_moving_ai_scenarios(text: &[u8]) -> Result<Vec<MovingAiScenario>, M
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

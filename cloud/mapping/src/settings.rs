@@ -115,7 +115,6 @@ zenav_protocol::settings! {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::settings::Settings;
 

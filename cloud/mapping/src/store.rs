@@ -147,7 +147,6 @@ fn sidecar(folder: &Path) -> PathBuf {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::grid::GridSpec;
 
@@ -161,11 +160,7 @@ mod tests {
             height: 1,
         };
         let record = MapRecord {
-            map: MapRef {
-                id: "kitchen".into(),
-                revision: 12,
-                frame: 0,
-            },
+            map: MapRef::new("kitchen", 12),
             stamp: Stamp(7),
             scans: 40,
             trajectory: vec![Point2::new(0.5, 0.25)],

@@ -85,14 +85,7 @@ fn a_new_map_takes_the_place_of_the_old_one() {
         mapper.insert(&scan(1, 3.0, 4.0));
         assert_eq!(replica.apply(&mapper.take_patch().unwrap()), PatchResult::Applied);
         assert_eq!(replica.grid(), &mapper.grid());
-        assert!(
-            replica.holds(mapper.map())
-                && !replica.holds(&MapRef {
-                    id: id.into(),
-                    revision: 2,
-                    frame: 0,
-                })
-        );
+        assert!(replica.holds(mapper.map()) && !replica.holds(&MapRef::new(id, 2)));
     }
 }
 

@@ -7,94 +7,29 @@ use nalgebra::Point2;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
     Annotations, BehaviourAction, BehaviourRequest, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg,
-    Mode, Plan, Yield,
+    Mode, Plan, PlanProgress, Yield,
 };
 use zenav_protocol::time::Stamp;
+use zenav_protocol::trajectory::Trajectory;
 
+use super::asks::Asks;
 use super::config::MissionConfig;
 use super::frames::MapFrames;
-use super::io::{Answer, Ask, NoAnswer, Ticket};
+use super::io::{Ask, Ticket};
 use super::lease::{LeaseClient, newer};
 use super::map::RobotMap;
-use super::motion::MotionKeeper;
+use super::motion::{MotionKeeper, PlanDraft, Recheck, recheck};
 use super::records::Restored;
 use super::robot::RobotView;
 use super::route::{InSight, Route, Tries, Waiting};
 use zenav_space::{ConfigurationSpace, Zones};
 
-/// Most pending requests; beyond that the oldest is dropped.
-const MAX_ASKS: usize = 256;
 /// Routes kept for the leaves that follow them.
 const MAX_ROUTES: usize = 16;
 /// Drives kept per goal.
 const MAX_LEGS: usize = 64;
 /// Time after its start during which a mission assumes that an unknown place may still be announced, s.
 const PLACES_WITHIN: f64 = 5.0;
-
-/// Pending requests and their answers.
-#[derive(Clone, Debug)]
-pub struct Asks {
-    incarnation: u64,
-    count: u64,
-    new: Vec<(Ticket, Ask)>,
-    waiting: BTreeMap<Ticket, Option<Result<Answer, NoAnswer>>>,
-}
-
-impl Asks {
-    /// No request is pending.
-    #[must_use]
-    pub fn new(incarnation: u64) -> Self {
-        Self {
-            incarnation,
-            count: 0,
-            new: Vec::new(),
-            waiting: BTreeMap::new(),
-        }
-    }
-
-    /// Sends a request.
-    pub fn ask(&mut self, ask: Ask) -> Ticket {
-        self.count += 1;
-        let ticket = Ticket(newer(self.incarnation, self.count));
-        self.waiting.insert(ticket, None);
-        if self.waiting.len() > MAX_ASKS {
-            self.waiting.pop_first();
-        }
-        self.new.push((ticket, ask));
-        ticket
-    }
-
-    /// Takes an answer; one to an unknown ticket is dropped.
-    pub fn answer(&mut self, ticket: Ticket, answer: Result<Answer, NoAnswer>) {
-        if let Some(slot) = self.waiting.get_mut(&ticket) {
-            *slot = Some(answer);
-        }
-    }
-
-    /// Takes the answer; `None` while it is pending. A dropped ticket counts as unanswered.
-    pub fn take(&mut self, ticket: Ticket) -> Option<Result<Answer, NoAnswer>> {
-        match self.waiting.get_mut(&ticket) {
-            None => Some(Err(NoAnswer::Silent(
-                "the request was dropped: too many are pending".to_owned(),
-            ))),
-            Some(slot) => {
-                let answer = slot.take()?;
-                self.waiting.remove(&ticket);
-                Some(answer)
-            }
-        }
-    }
-
-    /// Drops a request.
-    pub fn forget(&mut self, ticket: Ticket) {
-        self.waiting.remove(&ticket);
-    }
-
-    /// Takes the requests to send.
-    pub fn take_new(&mut self) -> Vec<(Ticket, Ask)> {
-        std::mem::take(&mut self.new)
-    }
-}
 
 /// The active goal, with the state that its leaves write.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -351,6 +286,9 @@ impl Context {
         if self.lease.epoch().is_none() {
             return Some(format!("waiting for the lease: {}", self.lease.why_not()));
         }
+        if self.round_trip() >= LONGEST_ROUND_TRIP.as_secs_f64() {
+            return Some("waiting for a faster link: over a round trip of 10 s no lease lasts".to_owned());
+        }
         if !self.robot.is_heard(self.now) || self.robot.pose().is_none() {
             return Some("waiting for the robot".to_owned());
         }
@@ -404,6 +342,35 @@ impl Context {
         self.robot.yields(self.now, self.motion.id()?, self.frames.at())
     }
 
+    /// What the robot reports of the plan in force.
+    pub(crate) fn progress(&self) -> Option<&PlanProgress> {
+        let plan = self.robot.state()?.plan.as_ref();
+        plan.filter(|plan| Some(plan.trajectory_id) == self.motion.id())
+    }
+
+    /// Plan time that the robot has reached on the plan in force, s; `None` unless it drives that plan.
+    pub(crate) fn plan_time(&self) -> Option<f64> {
+        self.motion.time(self.robot.state()?, 0.0, 0.0)
+    }
+
+    /// Rechecks the plan in force on the newest map, from a plan time on, s; or why it cannot be checked.
+    pub(crate) fn recheck_from(&mut self, time: f64) -> Result<Recheck, String> {
+        let (space, escape) = (self.space_now()?, self.config.settings.escape);
+        let trajectory = self.motion.trajectory();
+        Ok(trajectory.map_or(Recheck::Free, |trajectory| recheck(trajectory, &space, time, escape)))
+    }
+
+    /// The same from the robot's position on.
+    pub(crate) fn recheck_rest(&mut self) -> Result<Recheck, String> {
+        self.recheck_from(self.plan_time().unwrap_or(0.0))
+    }
+
+    /// The same for a trajectory that is to come into force.
+    pub(crate) fn recheck_new(&mut self, trajectory: &Trajectory) -> Result<Recheck, String> {
+        let (space, escape) = (self.space_now()?, self.config.settings.escape);
+        Ok(recheck(trajectory, &space, 0.0, escape))
+    }
+
     /// Time in which the robot can be brought to rest from now on, s: braking, the latency budget, and a lead. `None` without its model.
     pub(crate) fn stopping_time(&self) -> Option<f64> {
         let braking = zenav_smoothing::Limits::of(self.robot.model()?).braking_time(self.robot.velocity());
@@ -418,7 +385,7 @@ impl Context {
     }
 
     /// Publishes a new plan for the active goal.
-    pub fn drive(&mut self, mut draft: super::motion::PlanDraft) {
+    pub fn drive(&mut self, mut draft: PlanDraft) {
         if draft.map.id.is_empty() {
             // A plan that needed no map is also in the present frame.
             draft.map.frame = self.frames.at();

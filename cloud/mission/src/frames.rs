@@ -168,7 +168,6 @@ pub(crate) fn moved_points(points: &[Point2<f64>], new_from_old: Pose2) -> Vec<P
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -196,11 +195,7 @@ mod tests {
         let mut frames = MapFrames::default();
         frames.observe(frame(0, vec![], vec![near, far]));
         assert_eq!(frames.settle(Some(&map(0))), None);
-        let places = [19.0, 1.0, 50.0].map(|x| GoalPoint {
-            x,
-            y: 0.5,
-            yaw: Some(0.0),
-        });
+        let places = [19.0, 1.0, 50.0].map(|x| GoalPoint::from(Pose2::new(x, 0.5, 0.0)));
         let anchors = frames.anchors(0, &places).unwrap();
         frames.observe(frame(1, vec![moved], vec![near, moved * far]));
         assert_eq!(frames.settle(Some(&map(0))), None);

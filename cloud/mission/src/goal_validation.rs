@@ -164,7 +164,7 @@ pub(crate) fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> R
     let growing = ctx.config.settings.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
     let position = ctx.robot.pose().map(|pose| pose.position());
     let near = |point: &Point2<f64>| growing && spec.distance(*point) <= explore;
-    let places: Vec<Point2<f64>> = points.iter().map(|goal| Point2::new(goal.x, goal.y)).collect();
+    let places: Vec<Point2<f64>> = points.iter().map(GoalPoint::position).collect();
     let extent = if ctx.config.settings.unknown_is_free {
         Extent::of(&model.footprint, places.iter().copied().filter(near).collect())
     } else {
@@ -185,7 +185,7 @@ pub(crate) fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> R
     // The map without its transient obstacles, computed on demand.
     let mut later: Option<(ConfigurationSpace, Option<BitGrid>)> = None;
     for goal in points {
-        let point = Point2::new(goal.x, goal.y);
+        let point = goal.position();
         let outside = spec.cell_at(point).is_none() && !near(&point);
         let (fits, connected) = admits(&space, &reached, point);
         if !outside && fits && connected {
@@ -240,28 +240,23 @@ fn rejected(goal: GoalPoint, what: &str, nearest: Option<Point2<f64>>) -> Refusa
     Refusal::Rejected {
         reason: format!("({:.2}, {:.2}) {what}", goal.x, goal.y),
         nearest_free: nearest.map(|free| GoalPoint {
-            x: free.x,
-            y: free.y,
             yaw: goal.yaw,
+            ..GoalPoint::at(free.x, free.y)
         }),
     }
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::config::MissionConfig;
     use crate::records::Restored;
+    use zenav_protocol::geometry::Pose2;
 
     #[test]
     fn a_goal_is_a_place_or_a_point_but_not_both() {
         let mut config = MissionConfig::new(Id::robot("tiago").unwrap(), "mission-1", "unused.redb".into());
-        let sink = GoalPoint {
-            x: 2.0,
-            y: 1.5,
-            yaw: Some(0.0),
-        };
+        let sink = GoalPoint::from(Pose2::new(2.0, 1.5, 0.0));
         config.places.insert("sink".into(), sink);
         let ctx = Context::new(config, &Restored::fresh());
         let to_sink = GoalRequest {

@@ -198,34 +198,10 @@ impl GoalTable {
     /// Accepts a validated goal.
     pub fn accept(&mut self, robot: &str, id: String, request: GoalRequest, urgent: bool, now: Stamp) {
         let sequence = self.next_sequence();
-        let state = GoalState {
-            id: id.clone(),
-            robot: robot.to_owned(),
-            state: GoalPhase::Accepted,
-            reason: None,
-            queue: None,
-            accepted: now,
-            started: None,
-            ended: None,
-            feedback: GoalFeedback::default(),
-            legs: Vec::new(),
-            request,
-            resolved: Vec::new(),
-        };
+        let goal = StoredGoal::accepted(sequence, robot, id.clone(), request, urgent, now);
         self.by_id.insert(id, sequence);
         self.open.insert(sequence);
-        self.goals.insert(
-            sequence,
-            StoredGoal {
-                sequence,
-                urgent,
-                moved: None,
-                paused_secs: 0.0,
-                paused_since: None,
-                anchors: None,
-                state,
-            },
-        );
+        self.goals.insert(sequence, goal);
         self.store(sequence);
         self.forget_old();
     }
@@ -432,7 +408,6 @@ pub fn goal_reply(goal: &GoalState) -> GoalReply {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -1,10 +1,11 @@
 //! Lease client. Does this mission command the robot, and does it keep the robot's goals? It requests the lease until granted, renews it
 //! with heartbeats, and relies on the robot's record, not on its own.
 
+use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Refusal};
 use zenav_protocol::time::Stamp;
 
-use super::context::Asks;
+use super::asks::Asks;
 use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::records::Leadership;
 
@@ -16,6 +17,11 @@ const RETRY: f64 = 0.5;
 const HEARS: f64 = 3.0;
 /// A robot that has not answered within this time, s, may be off: goals are accepted nevertheless.
 const OFF: f64 = 1.0;
+/// A robot that has not answered a request for the lease within this time, s, is reported.
+const QUIET: f64 = 3.0;
+/// What is said of it, with [`QUIET`] and [`LONGEST_ROUND_TRIP`] in words.
+const UNANSWERED: &str =
+    "the robot has not answered for over 3 s: its link is slow or cut, and over a round trip of 10 s no lease lasts";
 /// Pause (s), longer than the lease's TTL, after which all earlier knowledge is discarded.
 const SLEPT: f64 = 1.0;
 
@@ -37,7 +43,8 @@ pub struct LeaseClient {
     holder: String,
     incarnation: u64,
     grant: Option<Grant>,
-    asking: Option<Ticket>,
+    /// The request under way, and when it was sent.
+    asking: Option<(Ticket, Stamp)>,
     next_ask: Stamp,
     asked: u64,
     beats: u64,
@@ -173,7 +180,11 @@ impl LeaseClient {
             let holder = lease.holder.as_deref().unwrap_or("nobody");
             self.lose(now, format!("{holder} holds the lease now"));
         } else if lease.epoch == grant.epoch && !lease.live {
-            self.lose(now, "the lease has lapsed".to_owned());
+            let why = match grant.round_trip < LONGEST_ROUND_TRIP.as_secs_f64() {
+                true => "the lease has lapsed",
+                false => "the lease has lapsed: over a round trip of 10 s none lasts",
+            };
+            self.lose(now, why.to_owned());
         }
         // A state with an older epoch was sent before the grant.
     }
@@ -213,7 +224,7 @@ impl LeaseClient {
         {
             // Another mission may have taken over: the robot must confirm the leader, and an earlier answer does not count.
             self.confirmed &= !self.shared;
-            if let Some(ticket) = self.asking.take() {
+            if let Some((ticket, _)) = self.asking.take() {
                 asks.forget(ticket);
                 self.next_ask = now;
             }
@@ -221,7 +232,7 @@ impl LeaseClient {
                 self.lose(now, "this mission was suspended".to_owned());
             }
         }
-        if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
+        if let Some(answer) = self.asking.and_then(|(ticket, _)| asks.take(ticket)) {
             self.asking = None;
             self.take(now, answer);
         }
@@ -236,7 +247,11 @@ impl LeaseClient {
                 echo,
                 ..LeaseRequest::new(&self.holder, LeaseRole::Mission, LeaseAction::Acquire, request_id)
             };
-            self.asking = Some(asks.ask(Ask::Lease(request)));
+            self.asking = Some((asks.ask(Ask::Lease(request)), now));
+        }
+        let is_quiet = self.asking.is_some_and(|(_, since)| now.secs_since(since) > QUIET);
+        if is_quiet && self.why_not != UNANSWERED {
+            UNANSWERED.clone_into(&mut self.why_not);
         }
         let epoch = self.epoch()?;
         // At even times, whatever else triggers a step; a missed one is not made up for.
@@ -288,7 +303,7 @@ impl LeaseClient {
                 self.deposed |= matches!(refusal, Refusal::NotCaughtUp { .. });
                 self.why_not = refusal.to_string();
             }
-            Err(NoAnswer::Silent(_)) => self.why_not = "the robot does not answer".to_owned(),
+            Err(NoAnswer::Silent(_)) => UNANSWERED.clone_into(&mut self.why_not),
         }
     }
 }
@@ -300,7 +315,6 @@ pub(crate) fn newer(incarnation: u64, count: u64) -> u64 {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::messages::Leader;
@@ -342,6 +356,51 @@ mod tests {
         assert_eq!(beats.len(), 11);
         assert!(beats.windows(2).all(|pair| pair[0].counter < pair[1].counter));
         assert!(beats[0].counter > newer(2, 1_000_000) && beats[0].epoch == 7);
+    }
+
+    #[test]
+    fn a_robot_that_does_not_answer_is_reported_within_seconds_and_until_it_does() {
+        let (mut client, mut asks) = granted(1.0);
+        let said = |client: &LeaseClient| client.why_not().contains("over a round trip of 10 s no lease lasts");
+        assert!(!said(&client));
+        for tenth in 0..50 {
+            client.step(Stamp::from_secs(1.05 + 0.1 * f64::from(tenth)), HEARD, &mut asks);
+            assert_eq!((client.epoch(), client.why_not()), (Some(7), ""), "it answered in time");
+        }
+        let restarted = EdgeState {
+            boot_id: "another".into(),
+            ..EdgeState::default()
+        };
+        client.observe(Stamp::from_secs(6.0), &restarted);
+        for tenth in 0..60 {
+            let now = 6.0 + 0.1 * f64::from(tenth);
+            client.step(Stamp::from_secs(now), HEARD, &mut asks);
+            assert_eq!(said(&client), now > 6.05 + QUIET, "{now}: {}", client.why_not());
+        }
+    }
+
+    #[test]
+    fn a_lease_that_lapses_over_a_link_that_is_too_slow_says_so() {
+        let lapsed = |round_trip_secs: f64| {
+            let (mut client, mut asks) = (LeaseClient::new("me", 3, None, Leadership::default()), Asks::new(3));
+            client.step(Stamp::from_secs(1.0), HEARD, &mut asks);
+            let (ticket, _) = asks.take_new().pop().unwrap();
+            let lease = LeaseReply {
+                epoch: 7,
+                ttl_secs: 1.0,
+                boot_id: String::new(),
+                round_trip_secs: Some(round_trip_secs),
+            };
+            asks.answer(ticket, Ok(Answer::Lease(lease)));
+            client.step(Stamp::from_secs(1.1), HEARD, &mut asks);
+            let mut state = EdgeState::default();
+            (state.lease.epoch, state.lease.holder) = (7, Some("me".into()));
+            client.observe(Stamp::from_secs(1.2), &state);
+            assert_eq!(client.epoch(), None);
+            client.why_not().to_owned()
+        };
+        assert!(lapsed(10.0).contains("over a round trip of 10 s"), "{}", lapsed(10.0));
+        assert_eq!(lapsed(9.0), "the lease has lapsed");
     }
 
     #[test]

@@ -64,7 +64,7 @@
 //! | file | answers |
 //! |---|---|
 //! | `config`, `settings` | what can be set? |
-//! | `io` | what are the inputs and outputs of a step? |
+//! | `io`, `asks` | what are the inputs and outputs of a step, and what has been asked of others? |
 //! | `orchestrator`, `publishing` | what happens in a step, and what does it store and publish? |
 //! | `requests`, `goal_validation`, `goals` | how are clients answered, which goals are accepted, which are there? |
 //! | `records`, `store` | what survives a crash, and where is it kept? |
@@ -77,6 +77,7 @@
 //! | `route` | how does a goal become a motion? plan, then smooth |
 //! | `context`, [`leaves`], [`trees`] | what do the trees' leaves act on, which are there, which trees are shipped? |
 
+mod asks;
 mod config;
 mod context;
 mod frames;
@@ -121,9 +122,10 @@ pub use membership::Membership;
 pub use standby::{JournalPosition, JournalVerdict, judge_entry, may_lead};
 
 // What leaves act on.
-pub use context::{ActiveGoal, Asks, Context};
+pub use asks::Asks;
+pub use context::{ActiveGoal, Context};
 pub use frames::{GoalAnchors, MapFrames};
 pub use map::RobotMap;
-pub use motion::{MotionKeeper, PlanDraft, PlanStatus, Recheck};
+pub use motion::{MotionKeeper, PlanDraft, PlanStatus};
 pub use robot::RobotView;
 pub use route::{Route, RouteData};

@@ -8,7 +8,7 @@ use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest}
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
-use super::context::Asks;
+use super::asks::Asks;
 use super::io::{Answer, Ask, Ticket};
 use super::transient::{TransientCell, Transients};
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
@@ -108,7 +108,7 @@ impl RobotMap {
     ///
     /// # let patch = MapPatch {
     /// #     stamp: Stamp(1),
-    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     map: MapRef::new("kitchen", 1),
     /// #     base_revision: 0,
     /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
     /// #     tiles: vec![Tile { x: 0, y: 0, values: vec![Occupancy::FREE; (TILE * TILE) as usize] }],
@@ -172,6 +172,16 @@ impl RobotMap {
     #[must_use]
     pub fn newest(&self) -> Option<MapRef> {
         self.replica.has_map().then(|| self.replica.map().clone())
+    }
+
+    /// The replica's revision; zero while there is no replica.
+    #[must_use]
+    pub fn revision(&self) -> u64 {
+        if self.replica.has_map() {
+            self.replica.map().revision
+        } else {
+            0
+        }
     }
 
     /// The configuration space padded to an extent, and the replica with the same padding; `None` without a map.
@@ -284,7 +294,7 @@ impl RobotMap {
     /// # values[32 * TILE as usize + 32] = Occupancy::OCCUPIED;
     /// # let patch = MapPatch {
     /// #     stamp: Stamp(1),
-    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     map: MapRef::new("kitchen", 1),
     /// #     base_revision: 0,
     /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
     /// #     tiles: vec![Tile { x: 0, y: 0, values }],
@@ -305,7 +315,6 @@ impl RobotMap {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::geometry::Pose2;

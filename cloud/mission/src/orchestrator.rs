@@ -433,7 +433,7 @@ impl Mission {
             return None;
         };
         let pose = self.ctx.robot.pose()?;
-        Some((pose.x - goal.x).hypot(pose.y - goal.y))
+        Some(pose.distance(&goal.pose()))
     }
 
     /// Ends a goal: its tree is halted, the robot comes to rest, and the end is persisted and published.

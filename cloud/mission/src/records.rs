@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 
 use serde::{Deserialize, Serialize};
-use zenav_protocol::messages::{GoalReply, GoalState, Plan};
+use zenav_protocol::messages::{GoalFeedback, GoalPhase, GoalReply, GoalRequest, GoalState, Plan};
 use zenav_protocol::time::Stamp;
 
 use super::frames::GoalAnchors;
@@ -68,6 +68,40 @@ pub struct StoredGoal {
 }
 
 impl StoredGoal {
+    /// A goal that has just been accepted.
+    pub(crate) fn accepted(
+        sequence: u64,
+        robot: &str,
+        id: String,
+        request: GoalRequest,
+        urgent: bool,
+        now: Stamp,
+    ) -> Self {
+        let state = GoalState {
+            id,
+            robot: robot.to_owned(),
+            state: GoalPhase::Accepted,
+            reason: None,
+            queue: None,
+            accepted: now,
+            started: None,
+            ended: None,
+            feedback: GoalFeedback::default(),
+            legs: Vec::new(),
+            request,
+            resolved: Vec::new(),
+        };
+        Self {
+            sequence,
+            urgent,
+            moved: None,
+            paused_secs: 0.0,
+            paused_since: None,
+            anchors: None,
+            state,
+        }
+    }
+
     /// Its position in the queue: in order of arrival, unless it was moved.
     #[must_use]
     pub fn turn(&self) -> QueueOrder {

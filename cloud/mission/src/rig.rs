@@ -1,22 +1,27 @@
 //! A robot for tests: what a mission hears of one that drives along the x axis, and made-up answers of motion workers. No part of the
 //! mission runs by itself.
-#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::time::Duration;
 
 use nalgebra::Point2;
+use zenav_behaviour_tree::{Status, Tree};
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    EdgeState, GoalPoint, InfoReply, LeaseReply, Link, MapFrame, MapPatch, MapRef, Mode, MotionReply, PlanOutcome,
-    PlanProgress, PlanReply, PlanStatistics, PoseEstimate, SmoothReply, TILE, Tile, TrajectoryReply,
+    EdgeState, GoalPoint, InfoReply, LeaseReply, Link, MapFrame, MapPatch, MapRef, Mode, MotionReply, MotionRequest,
+    PlanOutcome, PlanProgress, PlanReply, PlanStatistics, PoseEstimate, SmoothReply, SmoothRequest, TILE, Tile,
+    TrajectoryReply,
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
 use crate::context::Context;
 use crate::io::{Answer, Ask};
-use crate::leaves::path;
+use crate::leaves::{parse_path, path};
+use crate::route::RouteData;
+use crate::trees::build;
 use crate::{MissionConfig, Restored};
 
 const SPEC: GridSpec = GridSpec {
@@ -26,11 +31,7 @@ const SPEC: GridSpec = GridSpec {
     height: 4 * TILE,
 };
 /// Where it drives to.
-pub const GOAL: GoalPoint = GoalPoint {
-    x: 12.0,
-    y: 0.0,
-    yaw: None,
-};
+pub const GOAL: GoalPoint = GoalPoint::at(12.0, 0.0);
 /// Its speed, m/s.
 const SPEED: f64 = 0.5;
 
@@ -243,6 +244,62 @@ impl Rig {
     pub fn waits_since(&self) -> Option<f64> {
         let blockage = self.ctx.goal.feedback.blockage?;
         Some(blockage.since.as_secs())
+    }
+}
+
+/// A tree, and the robot that it acts on.
+pub struct Drive {
+    pub rig: Rig,
+    pub tree: Tree<Context>,
+}
+
+impl Drive {
+    /// A robot at the origin that faces along x, and a tree of these nodes.
+    pub fn new(nodes: &str) -> Self {
+        let text = format!(r#"<root BTCPP_format="4"><BehaviorTree ID="Main">{nodes}</BehaviorTree></root>"#);
+        Self {
+            rig: Rig::new(),
+            tree: build(&text).unwrap(),
+        }
+    }
+
+    pub fn tick(&mut self, secs: f64) -> Status {
+        self.rig.at(secs);
+        let status = self.tree.tick(Duration::from_secs_f64(secs), &mut self.rig.ctx);
+        status.unwrap()
+    }
+
+    /// Ticks; then a motion worker answers, in the next tick.
+    pub fn told(&mut self, secs: f64, reply: impl FnOnce(&Rig) -> MotionReply) -> Status {
+        assert_eq!(
+            self.tick(secs),
+            Status::Running,
+            "{secs} s: {:?}",
+            self.rig.ctx.goal.failure
+        );
+        let reply = reply(&self.rig);
+        self.rig.answer(reply);
+        self.tick(secs + 0.05)
+    }
+
+    /// A motion worker is asked to smooth a path, and answers.
+    pub fn smooths(&mut self, reply: Trajectory) -> SmoothRequest {
+        let asked = self.rig.ctx.asks.take_new().into_iter();
+        let mut requests = asked.filter_map(|(ticket, ask)| match ask {
+            Ask::Motion(request) => Some((ticket, *request)),
+            _ => None,
+        });
+        let Some((ticket, MotionRequest::Smooth(request))) = requests.next() else {
+            panic!("nothing is to be smoothed")
+        };
+        let reply = MotionReply::Smooth(self.rig.smooth(reply));
+        self.rig.ctx.asks.answer(ticket, Ok(Answer::Motion(Box::new(reply))));
+        request
+    }
+
+    /// A path on the blackboard.
+    pub fn path(&self, key: &str) -> RouteData {
+        parse_path(self.tree.blackboard().get(key).unwrap()).unwrap()
     }
 }
 

@@ -12,7 +12,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
-use super::context::Asks;
+use super::asks::Asks;
 use super::frames::MapFrames;
 use super::io::{Answer, Ask, Ticket};
 
@@ -309,7 +309,6 @@ pub(super) fn is_rest(twist: Twist2) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::messages::InfoReply;

@@ -110,7 +110,6 @@ zenav_protocol::settings! {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::settings::Settings as _;

@@ -121,7 +121,6 @@ pub fn build(tree: &str) -> Result<Tree<Context>, NoTree> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

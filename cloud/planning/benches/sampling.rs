@@ -5,9 +5,9 @@
 //! the grid, which knows eight directions and cuts no corners.
 //!
 //! With `OMPL_PEER` (a program built from `benches/peers/ompl.cpp`) the peer answers the same queries with the same exact checks. Both
-//! sides get one run for each query and seed, and the same processor time: two seconds for a first path, half a second in total for
-//! planners that improve theirs. Both are stopped by a flag that another thread sets. `RUNS` seeds are drawn (default 3). All rows are
-//! printed.
+//! sides get one run for each query and seed, with memory of their own that no search before has used, and the same processor time: two
+//! seconds for a first path, half a second in total for planners that improve theirs. Both are stopped by a flag that another thread sets.
+//! `RUNS` seeds are drawn (default 3). All rows are printed. `samples` are those drawn by ours, and the vertices of OMPL's trees.
 //!
 //! | row | is |
 //! |---|---|
@@ -28,7 +28,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use nalgebra::Point2;
 use rand::Rng as _;
 use rand_pcg::Pcg64Mcg;
 use zenav_mapping::{cell_from_top, parse_moving_ai_map, parse_moving_ai_scenarios, read_map};
@@ -139,21 +138,21 @@ impl Terrain {
     }
 
     fn own(&self, planner: Planner, black_box: bool, runs: u64, watch: &Watch) -> Figures {
-        let mut searcher = Searcher::new(&self.grid).unwrap();
-        searcher.black_box = black_box;
-        searcher.sampling.improving = u64::MAX;
         let mut figures = Figures::default();
         for seed in 1..=runs {
             for (start, goal, optimum) in &self.queries {
                 let query = Query {
-                    start: center(*start),
-                    goal: center(*goal),
+                    start: start.center(),
+                    goal: goal.center(),
                     seed,
                 };
                 let budget = Budget {
                     cancel: Some(&watch.cancel),
                     ..Budget::UNLIMITED
                 };
+                let mut searcher = Searcher::new(&self.grid).unwrap();
+                searcher.black_box = black_box;
+                searcher.sampling.improving = u64::MAX;
                 watch.arm(limit(planner.name()));
                 let begin = now();
                 let searched = searcher.search(planner, &self.sight, &query, budget);
@@ -216,10 +215,6 @@ impl Terrain {
     }
 }
 
-fn center(cell: Cell) -> Point2<f64> {
-    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
-}
-
 /// The longest of many random queries.
 fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
     let mut rng = Pcg64Mcg::new(1);
@@ -232,8 +227,8 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
         .filter_map(|_| {
             let [start, goal] = [(); 2].map(|()| cells[rng.next_u64() as usize % cells.len()]);
             let query = Query {
-                start: center(start),
-                goal: center(goal),
+                start: start.center(),
+                goal: goal.center(),
                 seed: 0,
             };
             let path = searcher
@@ -279,14 +274,12 @@ impl std::fmt::Display for Figures {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let ratio = |share: f64| {
             let last = self.ratios.len().saturating_sub(1) as f64;
-            self.ratios
-                .get((share * last).round() as usize)
-                .copied()
-                .unwrap_or(f64::NAN)
+            let found = self.ratios.get((share * last).round() as usize);
+            found.map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.4}"))
         };
         write!(
             f,
-            "{:>7} {:>11.4} {:>11.4} {:>8.4} {:>8.4} {:>9}",
+            "{:>7} {:>11.4} {:>11.4} {:>8} {:>8} {:>9}",
             format!("{}/{}", self.ratios.len(), self.times.len()),
             self.time(0.5),
             self.time(0.95),

@@ -1,7 +1,7 @@
 //! Space-time search. Time to find a path past robots whose courses are known: `cargo bench -p zenav-planning --bench space_time`
 //!
 //! A hall of 12 m by 12 m with cells of 2.5 cm, in which all robots cross the middle, and an empty floor of 100 m by 100 m with one crossing
-//! robot.
+//! robot. Processor time of the thread.
 
 #![allow(missing_docs, clippy::unwrap_used, reason = "a bench")]
 
@@ -10,8 +10,8 @@ use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use nalgebra::Point2;
+use zenav_fixtures::{ThreadTime, on_thread_time};
 use zenav_planning::{Budget, SpaceTimeQuery, SpaceTimeSettings, search_space_time};
-use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
 use zenav_protocol::messages::{CoursePlace, KnownCourse};
 use zenav_protocol::robot::Footprint;
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
@@ -22,13 +22,7 @@ const SPEED: f64 = 0.5;
 /// An empty square floor, m, and the space of the robot's disc on it.
 fn floor(side: f64, resolution: f64) -> ConfigurationSpace {
     let cells = (side / resolution) as u32;
-    let spec = GridSpec {
-        origin: Point2::origin(),
-        resolution,
-        width: cells,
-        height: cells,
-    };
-    let map = Grid::filled(spec, Occupancy::FREE);
+    let map = zenav_fixtures::free_map(zenav_fixtures::spec(cells, cells, resolution));
     ConfigurationSpace::new(&map, &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0)
 }
 
@@ -50,7 +44,7 @@ fn course(from: Point2<f64>, to: Point2<f64>) -> KnownCourse {
     }
 }
 
-fn space_time(criterion: &mut Criterion) {
+fn space_time(criterion: &mut Criterion<ThreadTime>) {
     let mut group = criterion.benchmark_group("space_time");
     let settings = SpaceTimeSettings::default();
     let hall = floor(12.0, 0.025);
@@ -91,5 +85,9 @@ fn space_time(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, space_time);
+criterion_group! {
+    name = benches;
+    config = on_thread_time();
+    targets = space_time
+}
 criterion_main!(benches);

@@ -42,10 +42,8 @@ pub(super) fn search(
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
-    use zenav_protocol::robot::Footprint;
 
     use super::*;
     use crate::cell_cost::Uniform;
@@ -54,9 +52,8 @@ mod tests {
     /// A robot of 0.8 m by 0.3 m in a field of 6 m by 4 m.
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
         let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(120, 80, 0.05), occupied);
-        let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)];
-        let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
-        ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0)
+        let footprint = zenav_fixtures::footprint(&[(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)]);
+        ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Blocked, 0.0)
     }
 
     fn ask(space: &ConfigurationSpace, heading: Option<f64>) -> Result<Vec<Point2<f64>>, NotFound> {

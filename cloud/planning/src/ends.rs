@@ -7,7 +7,6 @@ use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 use zenav_space::{ConfigurationSpace, LineOfSight as _};
 
-use super::path::center;
 use super::planners::Planner;
 use super::settings::LeavingSettings;
 
@@ -30,7 +29,7 @@ impl End {
         if planner.grows_trees() && space.admits(self.point) {
             self.point
         } else {
-            center(self.cell)
+            self.cell.center()
         }
     }
 }

@@ -208,7 +208,6 @@ fn turns(step: Step, side: &Lines, end: &Lines, squares: &Lines) -> Lines {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
 

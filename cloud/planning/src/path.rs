@@ -1,7 +1,6 @@
 //! Paths. The result of a search: corner points in cells, from grid, any-angle and sampling planners alike.
 
 use nalgebra::Point2;
-use zenav_protocol::grid::Cell;
 
 use super::grid_graph::GridPath;
 
@@ -27,9 +26,7 @@ impl Path {
     /// ```
     #[must_use]
     pub fn through(corners: Vec<Point2<f64>>) -> Self {
-        let legs = corners.windows(2).map(|leg| (leg[1] - leg[0]).norm());
-        // The sum of nothing is -0.
-        let length = legs.sum::<f64>() + 0.0;
+        let length = length(&corners);
         Self { corners, length }
     }
 }
@@ -40,13 +37,15 @@ impl From<GridPath> for Path {
         let length = path.length();
         let corners = path.corners.iter();
         Self {
-            corners: corners.map(|cell| center(*cell)).collect(),
+            corners: corners.map(|cell| cell.center()).collect(),
             length,
         }
     }
 }
 
-/// A cell's centre, in cells.
-pub(super) fn center(cell: Cell) -> Point2<f64> {
-    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
+/// Length of a polyline, in the unit of its corners.
+pub(super) fn length(corners: &[Point2<f64>]) -> f64 {
+    let legs = corners.windows(2).map(|leg| (leg[1] - leg[0]).norm());
+    // The sum of nothing is -0.
+    legs.sum::<f64>() + 0.0
 }

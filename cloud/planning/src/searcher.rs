@@ -207,19 +207,13 @@ impl Searcher {
     /// assert_eq!(ask(20.5, 2.5), Err(NotFound::OutOfMap));
     /// # Ok::<(), zenav_planning::TooManyCells>(())
     /// ```
-    pub fn search(
-        &mut self,
-        planner: Planner,
-        sight: &impl LineOfSight,
-        query: &Query,
-        budget: Budget<'_>,
-    ) -> Searched {
+    pub fn search(&mut self, planner: Planner, sight: &dyn LineOfSight, query: &Query, budget: Budget<'_>) -> Searched {
         if !query.is_on_a_grid() {
             return Searched::failed(NotFound::OutOfMap);
         }
         let map = Map {
             graph: &self.graph,
-            sight,
+            sight: &sight,
             sampling: &self.sampling,
             domain: self.domain,
             black_box: self.black_box,

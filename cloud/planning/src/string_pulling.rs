@@ -80,21 +80,17 @@ fn better(sight: &impl LineOfSight, [before, corner, after]: [Point2<f64>; 3], s
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
     use zenav_protocol::grid::Cell;
 
     use super::*;
+    use crate::Budget;
     use crate::cell_cost::Uniform;
     use crate::grid_graph::GridGraph;
+    use crate::path::{Path, length};
     use crate::planners::astar::{Memory, search};
-    use crate::{Budget, Path};
     use zenav_space::{BitGrid, PointLineOfSight};
-
-    fn length(corners: &[Point2<f64>]) -> f64 {
-        Path::through(corners.to_vec()).length
-    }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]

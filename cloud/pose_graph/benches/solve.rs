@@ -11,7 +11,7 @@
 use std::ops::RangeInclusive;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use zenav_fixtures::{Row, ThreadTime};
+use zenav_fixtures::{Row, ThreadTime, on_thread_time};
 use zenav_pose_graph::{
     DescentSettings, PoseGraph, RobustSettings, certify, chordal_start, descend, g2o, solve, solve_robust,
 };
@@ -20,7 +20,7 @@ use zenav_pose_graph::{
 mod manhattan;
 
 /// Seeds of the false closures.
-const SEEDS: RangeInclusive<u64> = 1001..=1010;
+const SEEDS: RangeInclusive<u64> = 1001..=1030;
 /// Poses that differ by no more than this are the same optimum, m.
 const SAME: f64 = 1e-3;
 
@@ -104,7 +104,7 @@ fn benches(criterion: &mut Criterion<ThreadTime>) {
 
 criterion_group! {
     name = all;
-    config = Criterion::default().with_measurement(ThreadTime);
+    config = on_thread_time();
     targets = benches
 }
 criterion_main!(all);

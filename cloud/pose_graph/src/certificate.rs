@@ -13,7 +13,7 @@ use crate::descent::{DescentStatus, Problem};
 use crate::graph::PoseGraph;
 use crate::linear::{BlockSystem, Pattern};
 use crate::settings::DescentSettings;
-use crate::start::pattern;
+use crate::start::{Positions, pattern};
 
 /// A gradient of the companion below this share of its terms is zero.
 const STATIONARY: f64 = 1e-6;
@@ -72,14 +72,18 @@ pub fn certify(graph: &PoseGraph, poses: &[Pose2], weights: &[f64]) -> Certifica
         return UNKNOWN;
     };
     let edges = Isotropic::of(graph, weights);
-    let Some(optimum) = companion::stationary(&edges, &pattern, poses) else {
+    let Some(positions) = Positions::new(&edges, &pattern) else {
+        return UNKNOWN;
+    };
+    let mut problem = Problem::new(graph, weights, &pattern);
+    let Some(optimum) = companion::stationary(&edges, problem.system(), &positions, poses) else {
         return UNKNOWN;
     };
     let certificate = certify_companion(&edges, &pattern, &optimum).with_distance(&optimum, poses);
     if certificate.optimality != Optimality::Certified {
         return certificate;
     }
-    let back = Problem::new(graph, weights, &pattern).descend(&optimum, &DescentSettings::default());
+    let back = problem.descend(&optimum, &DescentSettings::default());
     let (distance, turn) = apart(&back.poses, poses);
     let is_same = back.status == DescentStatus::Converged && distance < SAME && turn < SAME;
     Certificate {

@@ -8,7 +8,7 @@ use zenav_protocol::geometry::Pose2;
 
 use crate::descent::{DescentStatus, Objective, minimise};
 use crate::graph::PoseGraph;
-use crate::linear::{BlockSystem, Pattern};
+use crate::linear::BlockSystem;
 use crate::settings::DescentSettings;
 use crate::start::Positions;
 
@@ -151,13 +151,13 @@ fn linearise(
 }
 
 /// The companion's cost as an objective.
-struct Companion<'p> {
-    edges: &'p [Isotropic],
-    system: BlockSystem<'p, 3>,
-    positions: Positions<'p>,
+struct Companion<'a, 'p> {
+    edges: &'a [Isotropic],
+    system: &'a mut BlockSystem<'p, 3>,
+    positions: &'a Positions<'p>,
 }
 
-impl Objective for Companion<'_> {
+impl Objective for Companion<'_, '_> {
     fn cost(&self, poses: &[Pose2]) -> f64 {
         cost(self.edges, poses)
     }
@@ -169,7 +169,7 @@ impl Objective for Companion<'_> {
     fn factorise(&mut self, poses: &[Pose2], damping: f64) -> bool {
         // Far from a minimum the exact Hessian need not be positive definite.
         [true, false].into_iter().any(|is_exact| {
-            linearise(self.edges, poses, is_exact, Some(&mut self.system));
+            linearise(self.edges, poses, is_exact, Some(self.system));
             self.system.damp(damping);
             self.system.factorise() == Some(0)
         })
@@ -189,12 +189,17 @@ impl Objective for Companion<'_> {
 }
 
 /// The stationary point of the companion's cost that a descent from `poses` reaches, or its last poses. `None` if the systems cannot be
-/// solved.
-pub(crate) fn stationary(edges: &[Isotropic], pattern: &Pattern, poses: &[Pose2]) -> Option<Vec<Pose2>> {
+/// solved. `system`: over the same graph; its content is lost.
+pub(crate) fn stationary<'p>(
+    edges: &[Isotropic],
+    system: &mut BlockSystem<'p, 3>,
+    positions: &Positions<'p>,
+    poses: &[Pose2],
+) -> Option<Vec<Pose2>> {
     let mut companion = Companion {
         edges,
-        system: BlockSystem::new(pattern),
-        positions: Positions::new(edges, pattern)?,
+        system,
+        positions,
     };
     let settings = DescentSettings {
         max_iterations: MAX_STEPS,

@@ -28,6 +28,31 @@ use crate::uncertain::Uncertain;
 /// ```
 #[must_use]
 pub fn supported(graph: &PoseGraph, settings: &RobustSettings) -> Vec<bool> {
+    let mut is_supported: Vec<bool> = graph
+        .edges()
+        .iter()
+        .map(|edge| edge.kind == EdgeKind::Odometry)
+        .collect();
+    for Cycle { closures, end } in cycles(graph, settings.window) {
+        if end.chi_squared() <= settings.max_chi_squared {
+            for index in closures {
+                is_supported[index] = true;
+            }
+        }
+    }
+    is_supported
+}
+
+/// A short cycle through one closure, named twice, or through two.
+pub(crate) struct Cycle {
+    pub(crate) closures: [usize; 2],
+    /// Where it ends, relative to where it began.
+    pub(crate) end: Uncertain,
+}
+
+/// The cycles through a closure and odometry within the window, and those through two closures whose ends are within the window of each
+/// other.
+pub(crate) fn cycles(graph: &PoseGraph, window: u32) -> Vec<Cycle> {
     let edges = graph.edges();
     let mut odometry: Vec<Vec<usize>> = vec![Vec::new(); graph.poses().len()];
     let mut closures: Vec<Vec<usize>> = vec![Vec::new(); graph.poses().len()];
@@ -40,22 +65,31 @@ pub fn supported(graph: &PoseGraph, settings: &RobustSettings) -> Vec<bool> {
         at[edge.from].push(index);
         at[edge.to].push(index);
     }
-    let mut is_supported: Vec<bool> = edges.iter().map(|edge| edge.kind == EdgeKind::Odometry).collect();
-    for (index, edge) in edges.iter().enumerate() {
-        if is_supported[index] {
-            continue;
-        }
+    let mut cycles = Vec::new();
+    for (index, edge) in edges
+        .iter()
+        .enumerate()
+        .filter(|(_, edge)| edge.kind == EdgeKind::Closure)
+    {
         let own = Uncertain::of(edge);
-        let near_from = around(edge.from, edges, &odometry, settings.window);
+        let near_from = around(edge.from, edges, &odometry, window);
         if let Some(along) = near_from.get(&edge.to) {
-            is_supported[index] = own.then(&along.inverse()).chi_squared() <= settings.max_chi_squared;
+            cycles.push(Cycle {
+                closures: [index; 2],
+                end: own.then(&along.inverse()),
+            });
         }
-        let near_to = around(edge.to, edges, &odometry, settings.window);
-        let candidates = near_from.keys().flat_map(|node| &closures[*node]);
-        for other in candidates.filter(|other| edges[**other] != *edge) {
+        let near_to = around(edge.to, edges, &odometry, window);
+        let mut others: Vec<usize> = near_from.keys().flat_map(|node| &closures[*node]).copied().collect();
+        others.sort_unstable();
+        others.dedup();
+        for other in others
+            .into_iter()
+            .filter(|other| *other > index && edges[*other] != *edge)
+        {
             let (mut back, mut ends) = (
-                Uncertain::of(&edges[*other]).inverse(),
-                (edges[*other].from, edges[*other].to),
+                Uncertain::of(&edges[other]).inverse(),
+                (edges[other].from, edges[other].to),
             );
             if !near_from.contains_key(&ends.0) || !near_to.contains_key(&ends.1) {
                 (back, ends) = (back.inverse(), (ends.1, ends.0));
@@ -63,15 +97,13 @@ pub fn supported(graph: &PoseGraph, settings: &RobustSettings) -> Vec<bool> {
             let (Some(there), Some(here)) = (near_to.get(&ends.1), near_from.get(&ends.0)) else {
                 continue;
             };
-            let cycle = own.then(there).then(&back).then(&here.inverse());
-            if cycle.chi_squared() <= settings.max_chi_squared {
-                is_supported[index] = true;
-                is_supported[*other] = true;
-                break;
-            }
+            cycles.push(Cycle {
+                closures: [index, other],
+                end: own.then(there).then(&back).then(&here.inverse()),
+            });
         }
     }
-    is_supported
+    cycles
 }
 
 /// The nodes within `window` odometry steps of a node, and their poses relative to it.

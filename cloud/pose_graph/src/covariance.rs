@@ -38,12 +38,12 @@ pub fn marginal_covariance(
         return None;
     }
     let pattern = pattern(graph, weights)?;
-    let mut system = Problem::new(graph, weights, &pattern).factorised(poses)?;
-    Some(joint(&mut system, poses.len(), nodes))
+    let system = Problem::new(graph, weights, &pattern).factorised(poses)?;
+    Some(joint(&system, poses.len(), nodes))
 }
 
 /// [`marginal_covariance`] from a factorised system over `count` nodes.
-pub(crate) fn joint(system: &mut BlockSystem<'_, 3>, count: usize, nodes: &[usize]) -> DMatrix<f64> {
+pub(crate) fn joint(system: &BlockSystem<'_, 3>, count: usize, nodes: &[usize]) -> DMatrix<f64> {
     let mut covariance = DMatrix::zeros(3 * nodes.len(), 3 * nodes.len());
     for (column, node) in nodes.iter().enumerate() {
         for part in 0..3 {

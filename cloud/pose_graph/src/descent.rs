@@ -218,6 +218,11 @@ impl<'p> Problem<'p> {
         gradient
     }
 
+    /// The system, for another problem over the same graph: its content is lost.
+    pub(crate) fn system(&mut self) -> &mut BlockSystem<'p, 3> {
+        &mut self.system
+    }
+
     /// The factorised normal equations at given poses; `None` if the graph does not constrain a node.
     pub(crate) fn factorised(mut self, poses: &[Pose2]) -> Option<BlockSystem<'p, 3>> {
         self.linearise(poses, true);
@@ -315,8 +320,15 @@ pub(crate) fn minimise(objective: &mut impl Objective, start: &[Pose2], settings
         }
         let next = objective.moved(&poses, &step);
         let next_cost = objective.cost(&next);
+        let is_downhill = next_cost <= cost * (1.0 + ROUNDING);
+        if is_kept && !is_downhill {
+            // The factors are too old, which says nothing on damping.
+            is_kept = false;
+            promised = f64::INFINITY;
+            continue;
+        }
         iterations += 1;
-        if next_cost <= cost * (1.0 + ROUNDING) {
+        if is_downhill {
             let turn = step.iter().map(|block| block[2].abs()).fold(0.0, f64::max);
             is_kept = turn < SAME_FACTORS && damping.share == 0.0;
             damping.shrink((cost - next_cost) / promise);

@@ -12,17 +12,19 @@
 //!
 //! over all poses but one, the anchor. The weights `w` are 1, or 0 for a false loop closure. It is solved in phases:
 //!
-//! 1. **consistency** ([`supported()`]): closures that agree with another one around a short cycle (Mangelson et al. 2018, pairwise
-//!    consistency).
+//! 1. **consistency** (as [`supported()`]): closures that agree with another one around a short cycle (Mangelson et al. 2018, pairwise
+//!    consistency), and better than false ones do by chance.
 //! 2. **start** ([`chordal_start()`]): rotations from a linear problem, then positions from another (Carlone et al. 2015).
 //! 3. **companion** ([`certify()`]): the same graph with isotropic weights and the chordal distance of rotations, minimised by Newton's
 //!    method, with positions following rotations at each step. With complex `zᵢ = exp(i θᵢ)` its cost is a Hermitian form `x* M x`, and
 //!    with `λᵢ = Re(z̄ᵢ (M x)ᵢ)` its stationary point is the **global optimum** if `S = M - diag(0, λ)` has no negative eigenvalue (Carlone
 //!    et al. 2016; Rosen et al. 2019). One sparse factorisation counts them, by Sylvester's law of inertia.
 //! 4. **descent** ([`descend()`]): Gauss-Newton from there, with Marquardt's damping where needed.
-//! 5. **robust weights** ([`solve_robust()`]): graduated non-convexity with truncated least squares (Yang et al. 2020) decides on closures.
+//! 5. **robust weights** ([`solve_robust()`]): graduated non-convexity with truncated least squares (Yang et al. 2020) decides on closures
+//!    that agree; then **evidence** on all others: a closure is accepted if it lies within chi squared of what the accepted edges foresee, and
+//!    if no false closure may be expected to fit as well.
 //!
-//! Linear systems are sparse, of blocks that [`amd`] orders, factorised as LDLᵀ by [`clarabel::qdldl`].
+//! Linear systems are sparse, of blocks that [`amd`] orders, factorised as LDLᵀ.
 //!
 //! Meaning of a certificate: with these weights, no other arrangement of the nodes has a lower cost in the companion problem, and the
 //! solution returned lies in the valley that the companion's optimum leads to. It does not say whether the measurements are true.
@@ -41,7 +43,8 @@
 //! | `start` | where does the descent begin? |
 //! | `descent` | how is the cost of the measurements minimised? |
 //! | `companion`, `certificate` | is there no better valley? |
-//! | `consistency`, `robust` | which closures are false? |
+//! | `consistency`, `robust`, `evidence` | which closures are false? |
+//! | `chance` | how many false closures may be expected to fit as well? |
 //! | `covariance` | how certain are nodes? |
 //! | `uncertain` | how certain is a node along a chain of measurements? |
 //! | `reduced` | what remains known when nodes are dropped? |
@@ -49,10 +52,12 @@
 //! | `settings` | what can be tuned? |
 
 mod certificate;
+mod chance;
 mod companion;
 mod consistency;
 mod covariance;
 mod descent;
+mod evidence;
 pub mod g2o;
 mod graph;
 mod linear;

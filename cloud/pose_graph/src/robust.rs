@@ -2,27 +2,26 @@
 //!
 //! Truncated least squares: a true closure costs its chi squared, a false one a constant. This cost has many valleys, so the solver starts
 //! with a nearly convex cost and approaches the truncated one in rounds (Yang et al., "Graduated non-convexity for robust spatial
-//! perception", RA-L 2020), using the closures that have support. A closure without support is accepted if it agrees with the resulting
-//! poses, within their covariance.
+//! perception", RA-L 2020), using the closures that have support. From there on all closures are weighed by the evidence for them.
 
-use nalgebra::{Matrix3, Rotation2, Vector3};
-use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::geometry::Pose2;
 
-use crate::consistency::supported;
-use crate::covariance::{joint, mahalanobis, relative_covariance};
-use crate::descent::{Problem, descend, edge_chi_squared};
+use crate::chance::Chance;
+use crate::consistency::{Cycle, cycles};
+use crate::descent::{descend, edge_chi_squared};
+use crate::evidence::{Weighing, drop_worst};
 use crate::graph::{Edge, EdgeKind, PoseGraph};
 use crate::settings::{DescentSettings, RobustSettings};
 use crate::solver::{Solution, SolveError, solve_weighted};
-use crate::start::{chordal_start, odometry_start, pattern};
+use crate::start::{chordal_start, odometry_start};
 
 /// A descent between two rounds need not converge fully.
 const BETWEEN_ROUNDS: DescentSettings = DescentSettings {
     max_iterations: 6,
     tolerance: 1e-4,
 };
-/// Most rounds in which closures still change sides.
-const SETTLING_ROUNDS: usize = 20;
+/// Pairs of closures agree if at most this many false ones may be expected to agree as well.
+const CHANCE_OF_SUPPORT: f64 = 0.1;
 
 /// The best poses with the accepted closures.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,8 +36,12 @@ pub struct RobustSolution {
 
 /// Finds the poses that agree best with odometry and with the true closures, and which closures are true.
 ///
-/// Odometry edges are trusted and must connect the graph. Undecidable cases: a lone closure within odometry's own uncertainty, and false
-/// closures that agree with each other better than the true ones do.
+/// Odometry edges are trusted and must connect the graph. A closure is accepted if it lies within chi squared of what odometry and the other
+/// closures foresee, and if at most one in twenty false ones may be expected, in the whole graph, to fit as well. So the more closures are
+/// false, and the less the graph knows of a place, the more closures have to agree on it. Those that this leaves open are rejected, and
+/// named by [`RobustSolution::undecided`]. Not told apart: false closures that agree with each other and contradict nothing.
+///
+/// Cost: some ten descents and some ten thousand sparse solves for thousands of closures.
 ///
 /// ```
 /// use zenav_pose_graph::{DescentSettings, RobustSettings, g2o, solve_robust};
@@ -69,9 +72,11 @@ pub fn solve_robust(
     if let Some(node) = graph.disconnected(&weights) {
         return Err(SolveError::Disconnected { node });
     }
-    let support = supported(graph, settings);
     let closures: Vec<usize> = (0..edges.len()).filter(|index| weights[*index] == 0.0).collect();
-    let mut candidates: Vec<usize> = closures.iter().copied().filter(|index| support[*index]).collect();
+    let pairs = agreeing_pairs(graph, settings);
+    let mut candidates: Vec<usize> = pairs.iter().flatten().copied().collect();
+    candidates.sort_unstable();
+    candidates.dedup();
     if candidates.is_empty() {
         candidates.clone_from(&closures);
     }
@@ -81,48 +86,15 @@ pub fn solve_robust(
     // Without a chordal start odometry leads everywhere.
     let mut poses = chordal_start(graph, &weights).unwrap_or_else(|| odometry_start(graph, &[]));
     let rounds = graduate(graph, &mut poses, &mut weights, &candidates, settings);
-
-    let is_true = |index: &usize, poses: &[Pose2]| edge_chi_squared(&edges[*index], poses) <= settings.max_chi_squared;
-    for _ in 0..SETTLING_ROUNDS {
-        let before = weights.clone();
-        for index in &closures {
-            weights[*index] = f64::from(u8::from(is_true(index, &poses)));
-        }
-        if weights == before {
-            // Everything else is settled: try those that may be true given odometry and the other closures.
-            for index in plausible(graph, &poses, &weights, &closures, settings) {
-                weights[index] = 1.0;
-                let trial = descend(graph, &poses, &weights, descent);
-                if is_true(&index, &trial.poses) {
-                    poses = trial.poses;
-                } else {
-                    weights[index] = 0.0;
-                }
-            }
-            if weights == before {
-                break;
-            }
-        }
-        poses = descend(graph, &poses, &weights, descent).poses;
+    for index in &candidates {
+        weights[*index] = f64::from(u8::from(weights[*index] >= 0.5));
     }
+    let mut weighing = Weighing::new(graph, settings, &pairs, weights, poses);
+    weighing.settle(descent);
+    let Weighing { mut weights, poses, .. } = weighing;
     let mut solution = solve_weighted(graph, &weights, &poses, descent)?;
-    // Closures that change sides in every round, or that fit in another valley only, do not hold: what is returned fits its weights. The
-    // worst go first, since they bend the others.
-    while solution.is_minimum {
-        let misfit = |index: usize| weights[index] * edge_chi_squared(&edges[index], &solution.poses);
-        let worst = closures.iter().map(|index| misfit(*index)).fold(0.0, f64::max);
-        if worst <= settings.max_chi_squared {
-            break;
-        }
-        let limit = settings.max_chi_squared.max(0.5 * worst);
-        let dropped: Vec<usize> = closures
-            .iter()
-            .copied()
-            .filter(|index| misfit(*index) > limit)
-            .collect();
-        for index in dropped {
-            weights[index] = 0.0;
-        }
+    // Closures that fit in another valley only do not hold: what is returned fits its weights.
+    while solution.is_minimum && drop_worst(graph, &mut weights, &solution.poses, settings, &[]) {
         solution = solve_weighted(graph, &weights, &solution.poses, descent)?;
     }
     Ok(RobustSolution {
@@ -130,6 +102,52 @@ pub fn solve_robust(
         weights,
         rounds,
     })
+}
+
+impl RobustSolution {
+    /// The rejected closures that would fit within the covariance of the graph, but no better than false ones do by chance: whether they are
+    /// true cannot be told, and with them the poses would be others. Ascending indices of edges.
+    ///
+    /// `graph`, `settings`: those that were solved. Cost: one factorisation, and a solve for each rejected closure.
+    ///
+    /// ```
+    /// use zenav_pose_graph::{DescentSettings, RobustSettings, g2o, solve_robust};
+    ///
+    /// // Forty metres straight on, a hundred closures that see anything anywhere, and one across all of it, 12 m beside where odometry
+    /// // leads: within its uncertainty, and yet it may well be one of the others.
+    /// let step = |i: u32| format!("EDGE_SE2 {i} {} 1 0 0 100 0 0 100 0 400\n", i + 1);
+    /// let wrong = |i: u32| {
+    ///     let (x, y) = (f64::from(i * 7 % 13) - 20.0, f64::from(i * 5 % 11) - 5.0);
+    ///     format!("EDGE_SE2 {} {} {x} {y} 2 100 0 0 100 0 400\n", i % 20, 20 + i * 3 % 17)
+    /// };
+    /// let text = (0..40).map(step).chain((0..100).map(wrong)).collect::<String>() + "EDGE_SE2 0 40 40 12 0 100 0 0 100 0 400\n";
+    /// let (graph, settings) = (g2o::read(&text)?.graph, RobustSettings::default());
+    /// let robust = solve_robust(&graph, &DescentSettings::default(), &settings)?;
+    /// assert_eq!(robust.undecided(&graph, &settings), [140]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn undecided(&self, graph: &PoseGraph, settings: &RobustSettings) -> Vec<usize> {
+        let (weights, poses) = (self.weights.clone(), self.solution.poses.clone());
+        if weights.len() != graph.edges().len() || poses.len() != graph.poses().len() {
+            return Vec::new();
+        }
+        Weighing::new(graph, settings, &[], weights, poses).undecided()
+    }
+}
+
+/// Pairs of closures that agree around a short cycle, better than false ones do by chance; one that agrees with odometry alone is a pair
+/// with itself.
+fn agreeing_pairs(graph: &PoseGraph, settings: &RobustSettings) -> Vec<[usize; 2]> {
+    let cycles = cycles(graph, settings.window);
+    let is_closed = |cycle: &Cycle| cycle.end.chi_squared() <= settings.max_chi_squared;
+    let open = cycles.iter().filter(|cycle| !is_closed(cycle));
+    let chance = Chance::of(open.map(|cycle| cycle.end.pose.x.hypot(cycle.end.pose.y)).collect());
+    let is_no_chance = |cycle: &&Cycle| {
+        let information = cycle.end.covariance.try_inverse().unwrap_or_default();
+        is_closed(cycle) && chance.expected(cycle.end.chi_squared(), &information) <= CHANCE_OF_SUPPORT
+    };
+    cycles.iter().filter(is_no_chance).map(|cycle| cycle.closures).collect()
 }
 
 /// Rounds from nearly convex to truncated; returns their number. Poses and weights end as the last round leaves them.
@@ -180,46 +198,4 @@ fn truncated_weight(chi_squared: f64, limit: f64, control: f64) -> f64 {
     } else {
         ((limit * control * (control + 1.0) / chi_squared).sqrt() - control).clamp(0.0, 1.0)
     }
-}
-
-/// Difference between the poses and a measurement, m, m, rad, in the frame of its first node.
-fn gap(edge: &Edge, poses: &[Pose2]) -> Vector3<f64> {
-    let seen = poses[edge.from].inverse() * poses[edge.to];
-    let Pose2 { x, y, yaw } = edge.measurement;
-    Vector3::new(seen.x - x, seen.y - y, wrap_angle(seen.yaw - yaw))
-}
-
-/// The closures of weight 0 that agree with the others within the covariance between their ends, smallest gap first: chi squared would put
-/// precise measurements last.
-fn plausible(
-    graph: &PoseGraph,
-    poses: &[Pose2],
-    weights: &[f64],
-    closures: &[usize],
-    settings: &RobustSettings,
-) -> Vec<usize> {
-    let edges = graph.edges();
-    let mut asked: Vec<(f64, usize)> = closures
-        .iter()
-        .filter(|index| weights[**index] == 0.0)
-        .map(|index| (gap(&edges[*index], poses).norm(), *index))
-        .collect();
-    asked.sort_by(|a, b| a.0.total_cmp(&b.0));
-    asked.truncate(settings.reconsidered as usize);
-    let Some(pattern) = pattern(graph, weights).filter(|_| !asked.is_empty()) else {
-        return Vec::new();
-    };
-    let Some(mut system) = Problem::new(graph, weights, &pattern).factorised(poses) else {
-        return Vec::new();
-    };
-    asked.retain(|(_, index)| {
-        let edge = &edges[*index];
-        let both = joint(&mut system, poses.len(), &[edge.from, edge.to]);
-        let turn = Rotation2::new(edge.measurement.yaw).to_homogeneous();
-        let least = Matrix3::identity() * (f64::EPSILON * edge.information.amax());
-        let own = (edge.information + least).try_inverse().unwrap_or_default();
-        let covariance = relative_covariance(&both, poses[edge.from], poses[edge.to]) + turn * own * turn.transpose();
-        mahalanobis(&gap(edge, poses), &covariance) <= settings.max_chi_squared
-    });
-    asked.into_iter().map(|(_, index)| index).collect()
 }

@@ -26,7 +26,7 @@ zenav_protocol::settings! {
         pub max_rounds: u32 = 80, "", 1..=1000;
         /// Largest distance, in nodes, between the ends of two closures that are compared with each other.
         pub window: u32 = 10, "", 0..=1000;
-        /// Most rejected closures that are checked against the covariance, smallest gap first, each time the others are settled.
+        /// Most rejected closures that are searched for ones that agree with each other, best fit first, each time the others are settled.
         pub reconsidered: u32 = 50, "", 0..=100_000;
     }
 }

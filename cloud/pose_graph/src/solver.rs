@@ -9,7 +9,7 @@ use crate::descent::{Descent, DescentStatus, Problem};
 use crate::graph::PoseGraph;
 use crate::linear::Pattern;
 use crate::settings::DescentSettings;
-use crate::start::{chordal, pattern};
+use crate::start::{Positions, chordal, pattern};
 
 /// The best poses, with their certificate.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,16 +109,18 @@ pub(crate) fn solve_weighted(
     }
     let pattern = pattern(graph, weights).ok_or(SolveError::Singular)?;
     let edges = Isotropic::of(graph, weights);
+    let positions = Positions::new(&edges, &pattern).ok_or(SolveError::Singular)?;
     let mut problem = Problem::new(graph, weights, &pattern);
-    let from_chordal = chordal(graph.poses(), &edges, &pattern)
+    let mut from = |start: &[Pose2]| solve_from(&mut problem, &edges, &pattern, &positions, start, settings);
+    let from_chordal = chordal(graph.poses(), &edges, &pattern, &positions)
         .ok_or(SolveError::Singular)
-        .and_then(|start| solve_from(&mut problem, &edges, &pattern, &start, settings));
+        .and_then(|start| from(&start));
     if let Ok(solution) = &from_chordal
         && solution.certificate.optimality == Optimality::Certified
     {
         return from_chordal;
     }
-    let from_other = solve_from(&mut problem, &edges, &pattern, other_start, settings);
+    let from_other = from(other_start);
     match (from_chordal, from_other) {
         (Ok(a), Ok(b)) => {
             let is_better = b.certificate.optimality == Optimality::Certified || b.chi_squared < a.chi_squared;
@@ -130,14 +132,15 @@ pub(crate) fn solve_weighted(
 }
 
 /// Companion, certificate and descent from one start.
-fn solve_from(
-    problem: &mut Problem<'_>,
+fn solve_from<'p>(
+    problem: &mut Problem<'p>,
     edges: &[Isotropic],
     pattern: &Pattern,
+    positions: &Positions<'p>,
     start: &[Pose2],
     settings: &DescentSettings,
 ) -> Result<Solution, SolveError> {
-    let optimum = companion::stationary(edges, pattern, start);
+    let optimum = companion::stationary(edges, problem.system(), positions, start);
     let certificate = match &optimum {
         Some(optimum) => certify_companion(edges, pattern, optimum),
         None => UNKNOWN,

@@ -92,8 +92,8 @@ pub fn chordal_start(graph: &PoseGraph, weights: &[f64]) -> Option<Vec<Pose2>> {
     if graph.disconnected(weights).is_some() || graph.poses().is_empty() {
         return None;
     }
-    let edges = Isotropic::of(graph, weights);
-    chordal(graph.poses(), &edges, &pattern(graph, weights)?)
+    let (edges, pattern) = (Isotropic::of(graph, weights), pattern(graph, weights)?);
+    chordal(graph.poses(), &edges, &pattern, &Positions::new(&edges, &pattern)?)
 }
 
 /// The pairs connected by edges with a weight above zero.
@@ -104,7 +104,12 @@ pub(crate) fn pattern(graph: &PoseGraph, weights: &[f64]) -> Option<Pattern> {
 }
 
 /// [`chordal_start`] from prepared data.
-pub(crate) fn chordal(poses: &[Pose2], edges: &[Isotropic], pattern: &Pattern) -> Option<Vec<Pose2>> {
+pub(crate) fn chordal(
+    poses: &[Pose2],
+    edges: &[Isotropic],
+    pattern: &Pattern,
+    positions: &Positions<'_>,
+) -> Option<Vec<Pose2>> {
     let anchor = poses[0];
     let mut rotations = BlockSystem::<2>::new(pattern);
     let mut headings = vec![[0.0; 2]; poses.len()];
@@ -133,7 +138,7 @@ pub(crate) fn chordal(poses: &[Pose2], edges: &[Isotropic], pattern: &Pattern) -
         let length = cos.hypot(*sin).max(f64::MIN_POSITIVE);
         (*cos, *sin) = (*cos / length, *sin / length);
     }
-    let positions = Positions::new(edges, pattern)?.of(anchor, edges, &headings);
+    let positions = positions.of(anchor, edges, &headings);
     let nodes = headings.iter().zip(&positions);
     let mut start: Vec<Pose2> = nodes
         .map(|([cos, sin], position)| Pose2::new(position.x, position.y, sin.atan2(*cos)))
@@ -159,7 +164,7 @@ impl<'p> Positions<'p> {
     }
 
     /// The positions with these cosines and sines of yaws, by node; the anchor stays.
-    pub(crate) fn of(&mut self, anchor: Pose2, edges: &[Isotropic], headings: &[[f64; 2]]) -> Vec<Point2<f64>> {
+    pub(crate) fn of(&self, anchor: Pose2, edges: &[Isotropic], headings: &[[f64; 2]]) -> Vec<Point2<f64>> {
         let (mut xs, mut ys) = (vec![[0.0]; headings.len()], vec![[0.0]; headings.len()]);
         for edge in edges {
             let [cos, sin] = headings[edge.from];

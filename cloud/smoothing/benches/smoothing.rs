@@ -28,8 +28,8 @@ use rustix::time::{ClockId, clock_gettime};
 use zenav_mapping::read_map;
 use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
+use zenav_protocol::grid::{Cell, Grid, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::PlanOutcome;
 use zenav_protocol::robot::RobotModel;
 use zenav_smoothing::stop_turn_go;
 use zenav_smoothing::{Limits, UNRESTRICTED};
@@ -73,12 +73,7 @@ fn main() {
 /// 12 by 9 rooms of 4 m with doors of 1 m and a piece of furniture each.
 fn house() -> OccupancyGrid {
     const ROOM: u32 = 80;
-    let spec = GridSpec {
-        origin: Point2::origin(),
-        resolution: 0.05,
-        width: 12 * ROOM + 1,
-        height: 9 * ROOM + 1,
-    };
+    let spec = zenav_fixtures::spec(12 * ROOM + 1, 9 * ROOM + 1, 0.05);
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
     let mut at = || -> Vec<u32> { (0..108).map(|_| random.random_range(6..54)).collect() };
     let [doors_x, doors_y, left, low] = [at(), at(), at(), at()];
@@ -156,13 +151,7 @@ fn tour(space: &ConfigurationSpace, length: f64) -> Option<PlannedPath> {
 
 /// The fastest run, and the duration of stop, turn and go.
 fn measured(space: &ConfigurationSpace, model: &RobotModel, path: &[Point2<f64>], start: Pose2) -> (Smoothed, f64) {
-    let query = SmoothQuery {
-        path,
-        start,
-        start_velocity: Twist2::ZERO,
-        goal_yaw: None,
-        profile: DrivingProfile::Fastest,
-    };
+    let query = SmoothQuery::new(path, start);
     let run = || smooth(space, &query, model, &SmoothingSettings::default(), None, &mut cpu);
     let best = (1..RUNS).fold(run(), |best, _| {
         let again = run();

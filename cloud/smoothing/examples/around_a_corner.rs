@@ -4,9 +4,8 @@
 use std::time::Instant;
 
 use nalgebra::Point2;
-use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
-use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_smoothing::{SmoothQuery, SmoothingSettings, smooth};
@@ -33,13 +32,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let model = RobotModel::from_toml(shipped("tiago").unwrap_or_default(), "tiago")?;
     let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
-    let query = SmoothQuery {
-        path: &[Point2::new(3.6, 1.0), Point2::new(3.6, 4.2)],
-        start: Pose2::new(0.8, 1.0, 0.0),
-        start_velocity: Twist2::ZERO,
-        goal_yaw: None,
-        profile: DrivingProfile::Fastest,
-    };
+    let path = [Point2::new(3.6, 1.0), Point2::new(3.6, 4.2)];
+    let query = SmoothQuery::new(&path, Pose2::new(0.8, 1.0, 0.0));
     let begin = Instant::now();
     let mut clock = || begin.elapsed().as_secs_f64();
     let smoothed = smooth(&space, &query, &model, &SmoothingSettings::default(), None, &mut clock);

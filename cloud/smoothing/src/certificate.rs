@@ -89,7 +89,7 @@ fn stray(footprint: &Footprint, limits: &Limits, start: Twist2) -> f64 {
 /// Number of poses that are measured together.
 const CHUNK: usize = 16;
 
-/// Like [`ConfigurationSpace::sweep_min_clearance`], but the distance field first tells which poses are worth measuring.
+/// Like [`ConfigurationSpace::sweep_clearance_within`], but the distance field first tells which poses are worth measuring.
 fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
     let radius = space.footprint().circumscribed_radius();
     let bound = |pose: &Pose2| {
@@ -264,7 +264,6 @@ pub fn largest_use(trajectory: &PiecewiseTrajectory, drive: &Drive) -> LimitUse 
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::super::timing::{GeometricPath, PathPoint};
     use super::*;

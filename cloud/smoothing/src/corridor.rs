@@ -465,7 +465,6 @@ fn clipped(corners: &[(Point2<f64>, usize)], side: &HalfPlane, index: usize) -> 
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use proptest::prelude::*;

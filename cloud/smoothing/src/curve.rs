@@ -194,7 +194,6 @@ impl Polynomial {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -209,7 +208,7 @@ mod tests {
         let points = sampled.geometry.points();
         assert_eq!(sampled.ends[1], points.len() - 1);
         let end = points[sampled.ends[0]];
-        assert!((Point2::new(end.x, end.y) - first[5]).norm() < 1e-4);
+        assert!((end.position() - first[5]).norm() < 1e-4);
         // Halfway by de Casteljau's scheme.
         let mut row = first.to_vec();
         while row.len() > 1 {
@@ -219,7 +218,7 @@ mod tests {
                 .collect();
         }
         assert!((Polynomial::new(&first).place(0.5) - row[0]).norm() < 1e-12);
-        let distances = points.iter().map(|p| (Point2::new(p.x, p.y) - row[0]).norm());
+        let distances = points.iter().map(|p| (p.position() - row[0]).norm());
         assert!(distances.fold(f64::INFINITY, f64::min) < 0.011);
     }
 

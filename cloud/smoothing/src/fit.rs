@@ -332,7 +332,6 @@ fn matrix(rows: &[&Row], variables: usize) -> (CscMatrix<f64>, Vec<f64>) {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::super::corridor::HalfPlane;
     use super::*;
@@ -387,11 +386,7 @@ mod tests {
             .unwrap()
             .geometry;
         for p in geometry.points() {
-            assert!(
-                polygons
-                    .iter()
-                    .any(|polygon| polygon.holds(Point2::new(p.x, p.y), 2e-4))
-            );
+            assert!(polygons.iter().any(|polygon| polygon.holds(p.position(), 2e-4)));
         }
         assert!(
             geometry

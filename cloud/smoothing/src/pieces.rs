@@ -217,8 +217,7 @@ impl SmoothedPieces {
 ///
 /// ```
 /// use nalgebra::Point2;
-/// use zenav_protocol::geometry::{Pose2, Twist2};
-/// use zenav_protocol::messages::DrivingProfile;
+/// use zenav_protocol::geometry::Pose2;
 /// use zenav_smoothing::{Cuts, SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth_pieces};
 /// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
 /// # use zenav_protocol::robot::{RobotModel, shipped};
@@ -229,13 +228,8 @@ impl SmoothedPieces {
 /// # let model = RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap();
 /// # let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
 /// // Back out of a lane, and on to the left.
-/// let query = SmoothQuery {
-///     path: &[Point2::new(3.0, 2.0), Point2::new(1.5, 2.0), Point2::new(1.5, 4.0)],
-///     start: Pose2::new(3.0, 2.0, 0.0),
-///     start_velocity: Twist2::ZERO,
-///     goal_yaw: None,
-///     profile: DrivingProfile::Fastest,
-/// };
+/// let path = [Point2::new(3.0, 2.0), Point2::new(1.5, 2.0), Point2::new(1.5, 4.0)];
+/// let query = SmoothQuery::new(&path, Pose2::new(3.0, 2.0, 0.0));
 /// let cuts = Cuts { backwards: &[0], via: &[] };
 /// let smoothed = smooth_pieces(&space, &query, &cuts, &model, &SmoothingSettings::default(), None, &mut || 0.0);
 /// let trajectory = smoothed.sampled(SAMPLE_PERIOD);

@@ -8,7 +8,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Point2;
-use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::geometry::wrap_angle;
 use zenav_protocol::robot::Footprint;
 
 use super::corridor::{FreePolygon, SPREAD, corridor, free_polygon};
@@ -136,16 +136,9 @@ fn straight(path: &[Point2<f64>], ends: &Ends, step: f64) -> Option<GeometricPat
 
 /// Samples after which the footprint collides before the next one.
 fn collisions(space: &ConfigurationSpace, geometry: &GeometricPath) -> Vec<usize> {
-    let pose = |i: usize| {
-        let point = geometry.points()[i];
-        Pose2 {
-            x: point.x,
-            y: point.y,
-            yaw: point.yaw,
-        }
-    };
-    (0..geometry.points().len() - 1)
-        .filter(|i| !space.motion_is_free(pose(*i), pose(i + 1)))
+    let points = geometry.points();
+    (0..points.len() - 1)
+        .filter(|i| !space.motion_is_free(points[*i].pose(), points[i + 1].pose()))
         .collect()
 }
 
@@ -165,35 +158,20 @@ fn widen(spreads: &mut [f64], polygons: &[FreePolygon], sampled: &Sampled, hits:
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
     use zenav_space::UnknownPolicy;
 
     /// A left turn between two halls of 0.8 m, for a robot of 0.8 m by 0.3 m with its base in front.
     #[test]
     fn a_corridor_is_tightened_until_a_long_robot_fits_round_its_corner() {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.05,
-            width: 80,
-            height: 80,
-        };
-        let mut grid = Grid::filled(spec, Occupancy::OCCUPIED);
-        for i in 0..80 {
-            for j in 0..80 {
-                let center = spec.center(Cell::new(i, j));
-                let east = (1.0..1.8).contains(&center.y) && center.x < 2.8;
-                let north = (2.0..2.8).contains(&center.x) && center.y > 1.0;
-                if east || north {
-                    grid[Cell::new(i, j)] = Occupancy::FREE;
-                }
-            }
-        }
-        let outline = [(-0.6, -0.15), (0.2, -0.15), (0.2, 0.15), (-0.6, 0.15)];
-        let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
-        let space = ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0);
+        let grid = zenav_fixtures::map_where(zenav_fixtures::spec(80, 80, 0.05), |at| {
+            let east = (1.0..1.8).contains(&at.y) && at.x < 2.8;
+            let north = (2.0..2.8).contains(&at.x) && at.y > 1.0;
+            !(east || north)
+        });
+        let footprint = zenav_fixtures::footprint(&[(-0.6, -0.15), (0.2, -0.15), (0.2, 0.15), (-0.6, 0.15)]);
+        let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Blocked, 0.0);
         let path = [Point2::new(0.8, 1.6), Point2::new(2.3, 1.6), Point2::new(2.3, 3.5)];
         let (settings, mut clock) = (SmoothingSettings::default(), || 0.0);
         let mut phases = Phases::new(&mut clock, None);

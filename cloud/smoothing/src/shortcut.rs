@@ -155,7 +155,6 @@ fn spaced(space: &ConfigurationSpace, path: &[Point2<f64>], wanted: f64) -> (Vec
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_space::UnknownPolicy;

@@ -35,8 +35,7 @@ pub const SAMPLE_PERIOD: f64 = 0.05;
 ///
 /// ```
 /// use nalgebra::Point2;
-/// use zenav_protocol::geometry::{Pose2, Twist2};
-/// use zenav_protocol::messages::DrivingProfile;
+/// use zenav_protocol::geometry::Pose2;
 /// use zenav_smoothing::{Fallback, Outcome, SmoothQuery, SmoothingSettings, smooth};
 /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
 /// # use zenav_protocol::robot::{RobotModel, shipped};
@@ -47,13 +46,8 @@ pub const SAMPLE_PERIOD: f64 = 0.05;
 /// # (0..100).for_each(|y| grid[Cell::new(50, y)] = Occupancy::OCCUPIED);
 /// # let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
 /// # let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
-/// let query = SmoothQuery {
-///     path: &[Point2::new(4.0, 1.0)],
-///     start: Pose2::new(1.0, 1.0, 0.0),
-///     start_velocity: Twist2::ZERO,
-///     goal_yaw: Some(1.0),
-///     profile: DrivingProfile::Fastest,
-/// };
+/// let path = [Point2::new(4.0, 1.0)];
+/// let query = SmoothQuery { goal_yaw: Some(1.0), ..SmoothQuery::new(&path, Pose2::new(1.0, 1.0, 0.0)) };
 /// // A wall stands across the path: nothing is driven.
 /// let smoothed = smooth(&space, &query, &model, &SmoothingSettings::default(), None, &mut || 0.0);
 /// assert_eq!(smoothed.outcome, Outcome::Unsmoothed(Fallback::PathBlocked));
@@ -71,6 +65,20 @@ pub struct SmoothQuery<'a> {
     pub goal_yaw: Option<f64>,
     /// Objective of the trajectory.
     pub profile: DrivingProfile,
+}
+
+impl<'a> SmoothQuery<'a> {
+    /// The fastest trajectory from rest, with the path's own heading at the end.
+    #[must_use]
+    pub const fn new(path: &'a [Point2<f64>], start: Pose2) -> Self {
+        Self {
+            path,
+            start,
+            start_velocity: Twist2::ZERO,
+            goal_yaw: None,
+            profile: DrivingProfile::Fastest,
+        }
+    }
 }
 
 /// A trajectory, its outcome and its statistics.
@@ -122,9 +130,8 @@ impl Smoothed {
 ///
 /// ```
 /// use nalgebra::Point2;
-/// use zenav_protocol::geometry::{Pose2, Twist2};
+/// use zenav_protocol::geometry::Pose2;
 /// use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
-/// use zenav_protocol::messages::DrivingProfile;
 /// use zenav_protocol::robot::{RobotModel, shipped};
 /// use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
 /// use zenav_space::{ConfigurationSpace, UnknownPolicy};
@@ -133,13 +140,8 @@ impl Smoothed {
 /// let grid = Grid::filled(spec, Occupancy::FREE);
 /// let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
 /// let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
-/// let query = SmoothQuery {
-///     path: &[Point2::new(3.0, 1.0), Point2::new(3.0, 4.0)],
-///     start: Pose2::new(1.0, 1.0, 0.0),
-///     start_velocity: Twist2::ZERO,
-///     goal_yaw: None,
-///     profile: DrivingProfile::Fastest,
-/// };
+/// let path = [Point2::new(3.0, 1.0), Point2::new(3.0, 4.0)];
+/// let query = SmoothQuery::new(&path, Pose2::new(1.0, 1.0, 0.0));
 /// let smoothed = smooth(&space, &query, &model, &SmoothingSettings::default(), None, &mut || 0.0);
 /// assert!(smoothed.is_smooth());
 /// let trajectory = smoothed.sampled(SAMPLE_PERIOD);

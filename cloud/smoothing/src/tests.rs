@@ -1,5 +1,4 @@
 //! Tests of the smoother's results, checked independently of the smoother.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::sync::Arc;
 
@@ -9,7 +8,7 @@ use rand::SeedableRng as _;
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::grid::{Cell, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
+use zenav_protocol::messages::PlanOutcome;
 use zenav_protocol::polygon::{contains, edges};
 use zenav_protocol::robot::{Footprint, RobotModel};
 
@@ -192,13 +191,7 @@ fn every_robot_is_smoothed_nearly_everywhere_and_never_left_without_a_trajectory
             let Some(path) = path(&space, start, goal, &PlanOptions::default()) else {
                 continue;
             };
-            let query = SmoothQuery {
-                path: &path,
-                start,
-                start_velocity: Twist2::ZERO,
-                goal_yaw: None,
-                profile: DrivingProfile::Fastest,
-            };
+            let query = SmoothQuery::new(&path, start);
             let result = smoothed(&space, &query, &model);
             assert!(!result.trajectory.is_empty(), "{name}: {}", result.outcome);
             assert_free(&result, &grid, &model);
@@ -228,13 +221,7 @@ fn a_motion_stays_out_of_closed_zones_and_is_slow_in_speed_zones() {
     let space = ConfigurationSpace::with_zones(&hall(), &model.footprint, UnknownPolicy::Blocked, 0.0, &zones);
     let (start, goal) = (Pose2::new(1.0, 2.0, 0.0), Pose2::new(7.0, 2.0, 0.0));
     let path = path(&space, start, goal, &PlanOptions::default()).unwrap();
-    let query = SmoothQuery {
-        path: &path,
-        start,
-        start_velocity: Twist2::ZERO,
-        goal_yaw: None,
-        profile: DrivingProfile::Fastest,
-    };
+    let query = SmoothQuery::new(&path, start);
     let result = smoothed(&space, &query, &model);
     assert_sound(&result, &space, &model);
     assert_ends_at(&result, goal, None);
@@ -265,11 +252,8 @@ fn around_a_wall_the_curve_is_faster_than_stop_and_turn() {
     let result = smoothed(
         &space,
         &SmoothQuery {
-            path: &path,
-            start,
-            start_velocity: Twist2::ZERO,
             goal_yaw: Some(-1.5),
-            profile: DrivingProfile::Fastest,
+            ..SmoothQuery::new(&path, start)
         },
         &model,
     );
@@ -303,11 +287,8 @@ fn a_moving_robot_goes_on_as_it_moves() {
     let result = smoothed(
         &space,
         &SmoothQuery {
-            path: &path,
-            start,
             start_velocity: velocity,
-            goal_yaw: None,
-            profile: DrivingProfile::Fastest,
+            ..SmoothQuery::new(&path, start)
         },
         &model,
     );
@@ -335,11 +316,8 @@ fn a_moving_robot_whose_way_lies_behind_stops_and_turns_first() {
     let result = smoothed(
         &space,
         &SmoothQuery {
-            path: &path,
-            start,
             start_velocity: Twist2::new(0.5, 0.0),
-            goal_yaw: None,
-            profile: DrivingProfile::Fastest,
+            ..SmoothQuery::new(&path, start)
         },
         &model,
     );
@@ -358,11 +336,8 @@ fn degenerate_ways_are_driven_or_refused_but_never_fatal() {
         smoothed(
             &space,
             &SmoothQuery {
-                path,
-                start,
-                start_velocity: Twist2::ZERO,
                 goal_yaw: yaw,
-                profile: DrivingProfile::Fastest,
+                ..SmoothQuery::new(path, start)
             },
             &model,
         )
@@ -386,16 +361,13 @@ fn degenerate_ways_are_driven_or_refused_but_never_fatal() {
     assert_ends_at(&tiny, Pose2::new(2.004, 2.003, 0.0), None);
     let lost = smoothed(
         &space,
-        &SmoothQuery {
-            path: &[here, there],
-            start: Pose2 {
+        &SmoothQuery::new(
+            &[here, there],
+            Pose2 {
                 x: f64::INFINITY,
                 ..start
             },
-            start_velocity: Twist2::ZERO,
-            goal_yaw: None,
-            profile: DrivingProfile::Fastest,
-        },
+        ),
         &model,
     );
     assert!(lost.trajectory.is_empty() && lost.statistics.status == "fallback:start_not_finite");
@@ -411,13 +383,8 @@ fn a_blocked_way_is_not_driven() {
         let boxes: Vec<_> = before.into_iter().chain([wall]).collect();
         let space = space(&cluttered(&boxes), &model);
         let to = |x| {
-            let query = SmoothQuery {
-                path: &[start.position(), Point2::new(x, 1.02)],
-                start,
-                start_velocity: Twist2::ZERO,
-                goal_yaw: None,
-                profile: DrivingProfile::Fastest,
-            };
+            let path = [start.position(), Point2::new(x, 1.02)];
+            let query = SmoothQuery::new(&path, start);
             smoothed(&space, &query, &model)
         };
         let through = to(7.0);
@@ -429,13 +396,7 @@ fn a_blocked_way_is_not_driven() {
 /// A path of tiago's along y = 2 m, from its first place, where the robot looks along x and is at rest.
 fn driven(space: &ConfigurationSpace, places: &[f64], cuts: &Cuts<'_>) -> SmoothedPieces {
     let path: Vec<_> = places.iter().map(|x| Point2::new(*x, 2.0)).collect();
-    let query = SmoothQuery {
-        path: &path,
-        start: Pose2::new(places[0], 2.0, 0.0),
-        start_velocity: Twist2::ZERO,
-        goal_yaw: None,
-        profile: DrivingProfile::Fastest,
-    };
+    let query = SmoothQuery::new(&path, Pose2::new(places[0], 2.0, 0.0));
     let (model, settings) = (robot("tiago"), SmoothingSettings::default());
     smooth_pieces(space, &query, cuts, &model, &settings, None, &mut || 0.0)
 }
@@ -501,13 +462,7 @@ fn a_solver_that_may_not_iterate_leaves_the_safe_way() {
         max_iterations: 1,
         ..SmoothingSettings::default()
     };
-    let query = SmoothQuery {
-        path: &path,
-        start,
-        start_velocity: Twist2::ZERO,
-        goal_yaw: None,
-        profile: DrivingProfile::Fastest,
-    };
+    let query = SmoothQuery::new(&path, start);
     let result = smooth(&space, &query, &model, &settings, None, &mut || 0.0);
     assert!(
         result.statistics.status.starts_with("fallback:MaxIterations"),
@@ -525,17 +480,7 @@ fn a_robot_that_touches_a_wall_is_led_away_from_it() {
     let start = Pose2::new(0.05 + 0.265 - 0.01, 3.0, 0.0);
     let goal = Pose2::new(4.0, 1.0, 0.0);
     let path = path(&space, start, goal, &PlanOptions::default()).unwrap();
-    let result = smoothed(
-        &space,
-        &SmoothQuery {
-            path: &path,
-            start,
-            start_velocity: Twist2::ZERO,
-            goal_yaw: None,
-            profile: DrivingProfile::Fastest,
-        },
-        &model,
-    );
+    let result = smoothed(&space, &SmoothQuery::new(&path, start), &model);
     assert_eq!(result.statistics.status, "smoothed");
     assert_ends_at(&result, goal, None);
     let clearances = result
@@ -564,7 +509,7 @@ proptest! {
         prop_assume!(space.clearance(start.position()) > reach && space.clearance(goal.position()) > reach);
         let options = if shortest { PlanOptions::shortest(Planner::AStar) } else { PlanOptions::default() };
         let Some(path) = path(&space, start, goal, &options) else { return Ok(()) };
-        let query = SmoothQuery { path: &path, start, start_velocity: Twist2::ZERO, goal_yaw, profile: DrivingProfile::Fastest, };
+        let query = SmoothQuery { goal_yaw, ..SmoothQuery::new(&path, start) };
         let result = smoothed(&space, &query, &model);
         prop_assert!(!result.trajectory.is_empty() || start.distance(&goal) < 1e-3, "{}", result.statistics.status);
         if !result.trajectory.is_empty() {

@@ -56,7 +56,6 @@ pub fn unsmoothed(
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

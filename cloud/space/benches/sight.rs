@@ -1,5 +1,5 @@
 //! Line-of-sight checks per second. Segments of several lengths on one map, compared with a walk from cell to cell and the exact
-//! measurement of a moved disc.
+//! measurement of a moved disc; in processor time of the thread.
 //!
 //! `cargo bench -p zenav-space --bench sight`, on a house made from a seed; `ZENAV_BENCH_MAP=file` takes a map (.yaml, .pgm, .png, .map).
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, reason = "a bench")]
@@ -10,8 +10,9 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use nalgebra::{Point2, Vector2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
+use zenav_fixtures::{Pair, ThreadTime, on_thread_time};
 use zenav_mapping::read_map;
-use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{Cell, Grid, Occupancy, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight, PointLineOfSight, UnknownPolicy};
 
@@ -20,12 +21,7 @@ const SEGMENTS: usize = 1000;
 
 /// Rooms of 4 m with doors, most of them with a box.
 fn house() -> OccupancyGrid {
-    let spec = GridSpec {
-        origin: Point2::origin(),
-        resolution: 0.05,
-        width: 1000,
-        height: 1000,
-    };
+    let spec = zenav_fixtures::spec(1000, 1000, 0.05);
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let mut grid = Grid::filled(spec, Occupancy::FREE);
     let room = |x: u32| x / 80;
@@ -104,7 +100,7 @@ fn walk(free: &[bool], width: i64, height: i64, a: Point2<f64>, b: Point2<f64>) 
     true
 }
 
-fn points(criterion: &mut Criterion) {
+fn points(criterion: &mut Criterion<ThreadTime>) {
     let grid = map();
     let spec = *grid.spec();
     let free = BitGrid::from_fn(spec.width, spec.height, |cell| {
@@ -115,12 +111,13 @@ fn points(criterion: &mut Criterion) {
         .iter()
         .map(|value| Occupancy::of(*value) == Occupancy::Free)
         .collect();
-    criterion.bench_function("PointSight::new", |bencher| {
+    criterion.bench_function("PointLineOfSight::new", |bencher| {
         bencher.iter(|| PointLineOfSight::new(&free));
     });
     let sight = PointLineOfSight::new(&free);
     for only_seen in [false, true] {
-        let mut group = criterion.benchmark_group(if only_seen { "point, in sight" } else { "point" });
+        let title = if only_seen { "point, in sight" } else { "point" };
+        let mut group = criterion.benchmark_group(title);
         group.throughput(Throughput::Elements(SEGMENTS as u64));
         for length in [5, 20, 80, 320] {
             let mut segments = segments(&sight, length.into());
@@ -135,6 +132,7 @@ fn points(criterion: &mut Criterion) {
             }
             let seen = segments.iter().filter(|[a, b]| sight.sees(*a, *b)).count();
             eprintln!("{length} cells: {seen} of {} seen", segments.len());
+            pair(title, ["words", "walk"], length);
             let (width, height) = (i64::from(spec.width), i64::from(spec.height));
             group.bench_function(BenchmarkId::new("words", length), |bencher| {
                 bencher.iter(|| black_box(segments.iter().filter(|[a, b]| sight.sees(*a, *b)).count()));
@@ -154,7 +152,7 @@ fn points(criterion: &mut Criterion) {
     }
 }
 
-fn discs(criterion: &mut Criterion) {
+fn discs(criterion: &mut Criterion<ThreadTime>) {
     let space = ConfigurationSpace::new(&map(), &Footprint::Radius(0.25), UnknownPolicy::Free, 0.0);
     let mut group = criterion.benchmark_group("disc");
     group.throughput(Throughput::Elements(SEGMENTS as u64));
@@ -162,6 +160,7 @@ fn discs(criterion: &mut Criterion) {
         let segments = segments(&space, length.into());
         let seen = segments.iter().filter(|[a, b]| space.sees(*a, *b)).count();
         eprintln!("{length} cells: {seen} of {} seen", segments.len());
+        pair("disc", ["hops", "measured"], length);
         group.bench_function(BenchmarkId::new("hops", length), |bencher| {
             bencher.iter(|| black_box(segments.iter().filter(|[a, b]| space.sees(*a, *b)).count()));
         });
@@ -178,5 +177,19 @@ fn discs(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, points, discs);
+/// Names the slower way of the two as a peer.
+fn pair(group: &str, [ours, theirs]: [&str; 2], length: u32) {
+    Pair::new(
+        format!("{group}/{ours}/{length}"),
+        theirs,
+        format!("{group}/{theirs}/{length}"),
+    )
+    .print();
+}
+
+criterion_group! {
+    name = benches;
+    config = on_thread_time();
+    targets = points, discs
+}
 criterion_main!(benches);

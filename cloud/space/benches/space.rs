@@ -3,8 +3,10 @@
 //! Each transform is compared with a plain textbook version on the same map in the same run: the truncated one with the textbook's
 //! truncated one (Saito and Toriwaki, 1994: two passes down the columns, a window along the rows, 16 bits a cell), the unbounded one with
 //! the textbook's unbounded one (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions", 2012: 32 bits a cell, as
-//! ours). The footprint's queries are compared with parry's on a tree over the same squares, each as a box and joined to fewer boxes; both
-//! are built beforehand, and must give the same answers. Times are the thread's own CPU time, independent of other load.
+//! ours). The footprint's queries are compared with parry's on a tree over the same squares: a box for each cell (`cells`), and cells joined
+//! to fewer boxes (`boxes`). Both must give the same answers. The space and the trees are built beforehand, and that is timed by itself: the
+//! space holds a distance field of about a metre, with which it answers far from obstacles; `within reach` gives parry the same limit.
+//! Times are the thread's own CPU time, independent of other load.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(
@@ -25,7 +27,7 @@ use parry2d_f64::query::{ClosestPoints, DefaultQueryDispatcher, QueryDispatcher 
 use parry2d_f64::shape::{Capsule, Compound, ConvexPolygon, SharedShape};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_fixtures::ThreadTime;
+use zenav_fixtures::{Pair, ThreadTime, on_thread_time};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
@@ -48,12 +50,7 @@ const WAY: f64 = 2.0;
 const TOLERANCE: f64 = 1e-6;
 
 fn spec(side: u32) -> GridSpec {
-    GridSpec {
-        origin: Point2::origin(),
-        resolution: 0.05,
-        width: side,
-        height: side,
-    }
+    zenav_fixtures::spec(side, side, 0.05)
 }
 
 /// Rooms of 5 m by 4 m with doors of 0.9 m, corridors, and tables in most rooms.
@@ -180,6 +177,10 @@ fn distance(c: &mut Criterion<ThreadTime>) {
         let mut group = c.benchmark_group(format!("distance {side}x{side}"));
         group.sample_size(if side > 2000 { 10 } else { 50 });
         for (name, obstacles) in maps(side) {
+            let at = |function: &str| format!("distance {side}x{side}/{function}/{name}");
+            for ours in ["to 10 cells", "unbounded"] {
+                Pair::new(at(ours), "textbook", at(&format!("textbook, {ours}"))).print();
+            }
             group.bench_with_input(BenchmarkId::new("to 10 cells", name), &obstacles, |b, obstacles| {
                 b.iter_with_large_drop(|| DistanceField::new(spec(side), obstacles, REACH));
             });
@@ -273,8 +274,8 @@ fn footprint(c: &mut Criterion<ThreadTime>) {
         }
         let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Free, 0.0);
         let trees = [
-            ("a box for each cell", tree(&squares, &spec)),
-            ("joined boxes", tree(&joined(&obstacles), &spec)),
+            ("cells", tree(&squares, &spec)),
+            ("boxes", tree(&joined(&obstacles), &spec)),
         ];
         let distance = |tree: &Compound, pose: Pose2| {
             let found = DefaultQueryDispatcher.distance(&placed(pose), tree, &body);
@@ -315,45 +316,77 @@ fn footprint(c: &mut Criterion<ThreadTime>) {
             }
         }
 
-        let mut group = c.benchmark_group(format!("footprint, clearance at {POSES} poses, {name}"));
+        let title = format!("footprint, built, {name}");
+        let mut group = c.benchmark_group(&title);
+        group.sample_size(10);
+        group.bench_function(OWN, |b| {
+            b.iter_with_large_drop(|| ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Free, 0.0));
+        });
+        for (boxes, sides) in [("cells", &squares), ("boxes", &joined(&obstacles))] {
+            let function = format!("parry, {boxes}");
+            pair(&title, &function);
+            group.bench_function(function, |b| b.iter_with_large_drop(|| tree(sides, &spec)));
+        }
+        group.finish();
+
+        let title = format!("footprint, {POSES} clearances, {name}");
+        let mut group = c.benchmark_group(&title);
         group.sample_size(20);
-        group.bench_function("rows of bits", |b| {
+        group.bench_function(OWN, |b| {
             b.iter(|| poses.iter().map(|pose| space.footprint_clearance(*pose)).sum::<f64>());
         });
         for (boxes, tree) in &trees {
-            group.bench_function(format!("parry's distance, {boxes}"), |b| {
+            let function = format!("parry, {boxes}");
+            pair(&title, &function);
+            group.bench_function(function, |b| {
                 b.iter(|| poses.iter().map(|pose| distance(tree, *pose)).sum::<f64>());
             });
-            group.bench_function(format!("parry's closest points within reach, {boxes}"), |b| {
+            let function = format!("parry within reach, {boxes}");
+            pair(&title, &function);
+            group.bench_function(function, |b| {
                 b.iter(|| poses.iter().map(|pose| within_reach(tree, *pose)).sum::<f64>());
             });
         }
         group.finish();
 
-        let mut group = c.benchmark_group(format!("footprint, fits at {POSES} poses, {name}"));
+        let title = format!("footprint, {POSES} fits, {name}");
+        let mut group = c.benchmark_group(&title);
         group.sample_size(20);
-        group.bench_function("rows of bits", |b| {
+        group.bench_function(OWN, |b| {
             b.iter(|| poses.iter().filter(|pose| space.is_valid(**pose)).count());
         });
         for (boxes, tree) in &trees {
-            group.bench_function(format!("parry's intersection, {boxes}"), |b| {
+            let function = format!("parry, {boxes}");
+            pair(&title, &function);
+            group.bench_function(function, |b| {
                 b.iter(|| poses.iter().filter(|pose| fits(tree, **pose)).count());
             });
         }
         group.finish();
 
-        let mut group = c.benchmark_group(format!("disc, passes on {POSES} ways, {name}"));
+        let title = format!("disc, {POSES} ways, {name}");
+        let mut group = c.benchmark_group(&title);
         group.sample_size(20);
-        group.bench_function("rows of bits", |bencher| {
+        group.bench_function(OWN, |bencher| {
             bencher.iter(|| ways.iter().filter(|(a, b)| space.segment_is_free(*a, *b, DISC)).count());
         });
         for (boxes, tree) in &trees {
-            group.bench_function(format!("parry's intersection of a capsule, {boxes}"), |bencher| {
+            let function = format!("parry, {boxes}");
+            pair(&title, &function);
+            group.bench_function(function, |bencher| {
                 bencher.iter(|| ways.iter().filter(|(a, b)| passes(tree, *a, *b)).count());
             });
         }
         group.finish();
     }
+}
+
+/// Our function in every group beside parry.
+const OWN: &str = "rows of bits";
+
+/// Names a function of parry's as the peer of ours in its group.
+fn pair(group: &str, function: &str) {
+    Pair::new(format!("{group}/{OWN}"), function, format!("{group}/{function}")).print();
 }
 
 /// The largest map that is required: offices in a corner of it and the rest open; then offices everywhere.
@@ -389,11 +422,7 @@ fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
             grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
         }
     }
-    let map = |revision| MapRef {
-        id: "bench".to_owned(),
-        revision,
-        frame: 0,
-    };
+    let map = |revision| MapRef::new("bench", revision);
     let mut mirror = MapReplica::new();
     assert!(mirror.replace(&MapReply {
         info: MapInfo {
@@ -462,5 +491,5 @@ fn update(c: &mut Criterion<ThreadTime>) {
     assert_eq!(back.grid(), mirror.grid(), "the second patch undoes the first");
 }
 
-criterion_group!(name = benches; config = Criterion::default().with_measurement(ThreadTime); targets = distance, footprint, update, largest);
+criterion_group!(name = benches; config = on_thread_time(); targets = distance, footprint, update, largest);
 criterion_main!(benches);

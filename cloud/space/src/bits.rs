@@ -268,7 +268,6 @@ fn transpose(block: &mut [u64; 64]) {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use proptest::prelude::*;

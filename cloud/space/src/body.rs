@@ -8,6 +8,7 @@
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Cell;
+use zenav_protocol::polygon::cross;
 use zenav_protocol::robot::Footprint;
 
 use super::configuration::ConfigurationSpace;
@@ -230,8 +231,7 @@ pub fn convex_hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut hull: Vec<Point2<f64>> = Vec::with_capacity(sorted.len() + 1);
     let chain = |hull: &mut Vec<Point2<f64>>, base: usize, point: Point2<f64>| {
         while let [.., a, b] = hull[base..] {
-            let (first, second) = (b - a, point - a);
-            if first.x * second.y - first.y * second.x > 0.0 {
+            if cross(b - a, point - a) > 0.0 {
                 break;
             }
             hull.pop();
@@ -254,7 +254,7 @@ pub fn convex_hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+    use zenav_protocol::grid::GridSpec;
 
     use super::*;
     use crate::UnknownPolicy;
@@ -270,8 +270,7 @@ mod tests {
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
         let grid = zenav_fixtures::map_with_occupied(SPEC, occupied);
         let outline = [(-0.4, -0.15), (0.1, -0.18), (0.2, 0.0), (0.1, 0.18), (-0.4, 0.15)];
-        let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
-        ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0)
+        ConfigurationSpace::new(&grid, &zenav_fixtures::footprint(&outline), UnknownPolicy::Blocked, 0.0)
     }
 
     fn point() -> impl Strategy<Value = Point2<f64>> {
@@ -314,11 +313,8 @@ mod tests {
             found.sort();
             let in_cells: Vec<_> = outline.iter().map(|p| SPEC.to_cells(*p)).collect();
             let touched = |cell: &Cell| {
-                let alone = ConfigurationSpace::new(&{
-                    let mut grid = Grid::filled(SPEC, Occupancy::FREE);
-                    grid[*cell] = Occupancy::OCCUPIED;
-                    grid
-                }, space.footprint(), UnknownPolicy::Free, 0.0);
+                let grid = zenav_fixtures::map_with_occupied(SPEC, &[(cell.x, cell.y)]);
+                let alone = ConfigurationSpace::new(&grid, space.footprint(), UnknownPolicy::Free, 0.0);
                 !alone.is_clear_of(&in_cells)
             };
             let mut all: Vec<_> = occupied.iter().map(|(x, y)| Cell::new(x % SPEC.width, y % SPEC.height)).collect();

@@ -69,7 +69,7 @@ impl SpaceCache {
     /// # let mut map = MapReplica::new();
     /// # let patch = MapPatch {
     /// #     stamp: Stamp(1),
-    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     map: MapRef::new("kitchen", 1),
     /// #     base_revision: 0,
     /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
     /// #     tiles: vec![Tile { x: 0, y: 0, values: vec![Occupancy::FREE; (TILE * TILE) as usize] }],
@@ -182,10 +182,8 @@ impl SpaceCache {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
-    use zenav_protocol::grid::GridSpec;
     use zenav_protocol::messages::{MapPatch, TILE, Tile};
     use zenav_protocol::time::Stamp;
 
@@ -201,18 +199,9 @@ mod tests {
         };
         MapPatch {
             stamp: Stamp::ZERO,
-            map: MapRef {
-                id: "m".to_owned(),
-                revision: base_revision + 1,
-                frame: 0,
-            },
+            map: MapRef::new("m", base_revision + 1),
             base_revision,
-            spec: GridSpec {
-                origin: Point2::origin(),
-                resolution: 0.1,
-                width: columns * TILE,
-                height: 2 * TILE,
-            },
+            spec: zenav_fixtures::spec(columns * TILE, 2 * TILE, 0.1),
             tiles: tiles.iter().map(tile).collect(),
         }
     }

@@ -409,7 +409,6 @@ pub(super) fn threshold(radius: f64) -> i64 {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::grid::Occupancy;
 
@@ -451,8 +450,7 @@ mod tests {
     #[test]
     fn a_space_for_another_disc_is_the_one_built_for_it() {
         let grid = grid(90, 40, &[(3, 4, 100), (40, 20, 100), (60, 30, -1)]);
-        let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)].map(|(x, y)| Point2::new(x, y));
-        let footprint = Footprint::Polygon(outline.to_vec());
+        let footprint = zenav_fixtures::footprint(&[(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)]);
         for policy in [UnknownPolicy::Free, UnknownPolicy::Blocked, UnknownPolicy::Obstacle] {
             let space = ConfigurationSpace::new(&grid, &footprint, policy, 0.02);
             // Within the reach of the distances, and beyond.

@@ -48,22 +48,13 @@ impl<'a> DistanceCost<'a> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Point2;
-    use zenav_protocol::grid::GridSpec;
-
     use super::*;
     use crate::BitGrid;
 
     #[test]
     fn a_cell_costs_what_its_exact_distance_to_the_obstacle_costs() {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.5,
-            width: 12,
-            height: 1,
-        };
         let obstacles = BitGrid::from_fn(12, 1, |cell| cell.x == 0);
-        let field = DistanceField::new(spec, &obstacles, 8);
+        let field = DistanceField::new(zenav_fixtures::spec(12, 1, 0.5), &obstacles, 8);
         let costs = DistanceCost::new(&field, |metres| (100.0 - 10.0 * metres) as u8);
         let at = |x| costs.at(Cell::new(x, 0));
         // A cell's centre is half a cell nearer to the obstacle's face than its number of cells.

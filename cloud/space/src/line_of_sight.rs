@@ -25,6 +25,20 @@ pub trait LineOfSight {
     }
 }
 
+impl LineOfSight for &dyn LineOfSight {
+    fn size(&self) -> [u32; 2] {
+        (**self).size()
+    }
+
+    fn sees(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
+        (**self).sees(a, b)
+    }
+
+    fn admits(&self, p: Point2<f64>) -> bool {
+        (**self).admits(p)
+    }
+}
+
 /// Line of sight of a point among free cells: all other cells are closed squares, and so is everything outside.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PointLineOfSight {
@@ -100,7 +114,7 @@ fn disc_passes(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bo
         let middle = nalgebra::center(&a, &b);
         let cell = Cell::new(whole(middle.x), whole(middle.y));
         // Distance changes by at most the distance moved: the value of one cell's centre bounds all values on a short path.
-        let off = (middle - Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)).norm();
+        let off = (middle - cell.center()).norm();
         let distance = 0.5 * f64::from(space.field().squared(cell)).sqrt();
         if distance > radius + half + off + EPSILON {
             return true;
@@ -116,7 +130,7 @@ fn disc_passes(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bo
 mod tests {
     use nalgebra::Vector2;
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+    use zenav_protocol::grid::{GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
     use super::super::sweep::tests::{quarters, touches_exactly};
@@ -192,14 +206,15 @@ mod tests {
             width: SIDE as u32,
             height: SIDE as u32,
         };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        for (i, (x, y)) in occupied.iter().enumerate() {
-            grid[Cell::new(*x as u32, *y as u32)] = if i % 9 == 8 {
+        let marks = occupied.iter().enumerate().map(|(i, (x, y))| {
+            let value = if i % 9 == 8 {
                 Occupancy::UNKNOWN
             } else {
                 Occupancy::OCCUPIED
             };
-        }
+            (*x as u32, *y as u32, value)
+        });
+        let grid = zenav_fixtures::map_with(spec, &marks.collect::<Vec<_>>());
         ConfigurationSpace::new(&grid, &Footprint::Radius(radius), policy, 0.0)
     }
 

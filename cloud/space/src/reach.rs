@@ -116,25 +116,14 @@ pub fn nearest(
 mod tests {
     use super::*;
     use crate::UnknownPolicy;
-    use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
     #[test]
     fn a_closed_room_is_not_reached_and_the_nearest_place_is_outside_it() {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.1,
-            width: 60,
-            height: 40,
-        };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        for y in 10..30 {
-            for x in 30..50 {
-                if y == 10 || y == 29 || x == 30 || x == 49 {
-                    grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
-                }
-            }
-        }
+        let level = (30..50).flat_map(|x| [(x, 10), (x, 29)]);
+        let upright = (10..30).flat_map(|y| [(30, y), (49, y)]);
+        let walls: Vec<_> = level.chain(upright).collect();
+        let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(60, 40, 0.1), &walls);
         let space = ConfigurationSpace::new(&grid, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
         let reached = flood(&space, Point2::new(1.0, 1.0)).unwrap();
         assert!(is_reached(&space, &reached, Point2::new(5.5, 3.5)));

@@ -5,6 +5,7 @@
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::grid::GridSpec;
+use zenav_protocol::polygon::{Edge, cross, edges};
 
 use super::bits::BitGrid;
 
@@ -156,33 +157,61 @@ fn segment_meets_box(a: Point2<f64>, b: Point2<f64>, low: Vector2<f64>, high: Ve
 }
 
 /// Least distance from a convex polygon to an obstacle, both in cells; at most `limit`.
+///
+/// Along a row of squares the distance grows to both sides of the columns where the polygon meets the row, or comes nearest to it: the
+/// first obstacle on each side counts. Rows come nearest first.
 pub(super) fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], limit: f64) -> f64 {
-    let fold = |pick: fn(&Point2<f64>) -> f64, start: f64, best: fn(f64, f64) -> f64| {
-        outline.iter().map(pick).fold(start, best)
+    let by_height = |a: &&Point2<f64>, b: &&Point2<f64>| a.y.total_cmp(&b.y);
+    let (Some(bottom), Some(top)) = (outline.iter().min_by(by_height), outline.iter().max_by(by_height)) else {
+        return limit;
     };
-    let (low, high) = (
-        fold(|p| p.y, f64::INFINITY, f64::min),
-        fold(|p| p.y, f64::NEG_INFINITY, f64::max),
-    );
-    let mut least = limit;
-    for y in rows_within(obstacles, low - limit, high + limit) {
-        // A row is a convex obstacle too: one farther away than the best so far adds nothing.
-        if f64::from(y) - high > least || low - f64::from(y) - 1.0 > least {
-            continue;
+    let leftmost = outline.iter().map(|p| p.x).fold(f64::INFINITY, f64::min);
+    let rightmost = outline.iter().map(|p| p.x).fold(f64::NEG_INFINITY, f64::max);
+    let scan = |y: u32, least: f64| -> f64 {
+        // Most rows are empty here.
+        let window = (column(leftmost - least) - 1, column(rightmost + least) + 1);
+        if obstacles.next_set(y, window.0, window.1).is_none() {
+            return least;
         }
-        let near = (f64::from(y) - least, f64::from(y) + 1.0 + least);
-        let Some((left, right)) = columns_between(outline, near) else {
-            continue;
+        let (low, high) = (f64::from(y), f64::from(y) + 1.0);
+        let Some((left, right)) = columns_between(outline, (low - least, high + least)) else {
+            return least;
         };
-        let (from, to) = (column(left - least) - 1, column(right + least) + 1);
-        for x in obstacles.set_in_row(y, from, to) {
-            least = least.min(polygon_to_square(outline, x, y));
-            if least <= 0.0 {
-                return 0.0;
-            }
+        let reached = (column(left - least) - 1, column(right + least) + 1);
+        let (from, to) = columns_between(outline, (low, high)).unwrap_or_else(|| {
+            let nearest = if low > top.y { top } else { bottom };
+            (nearest.x, nearest.x)
+        });
+        let (from, to) = (column(from), column(to));
+        if to - from > 1 && obstacles.next_set(y, from + 1, to - 1).is_some() {
+            return 0.0;
+        }
+        let beside = [
+            obstacles.previous_set(y, reached.0, from),
+            obstacles.next_set(y, to, reached.1),
+        ];
+        let distances = beside.into_iter().flatten().map(|x| polygon_to_square(outline, x, y));
+        distances.fold(least, f64::min)
+    };
+    let met = rows_within(obstacles, bottom.y, top.y);
+    let within = rows_within(obstacles, bottom.y - limit, top.y + limit);
+    let mut least = met.clone().fold(limit, |least, y| scan(y, least));
+    let (mut below, mut above) = (met.start, met.end);
+    loop {
+        let is_below = below > within.start && bottom.y - f64::from(below) < least;
+        let is_above = above < within.end && f64::from(above) - top.y < least;
+        if is_below {
+            below -= 1;
+            least = scan(below, least);
+        }
+        if is_above {
+            least = scan(above, least);
+            above += 1;
+        }
+        if least <= 0.0 || !(is_below || is_above) {
+            return least.max(0.0);
         }
     }
-    least
 }
 
 /// The range of x over the part of a convex polygon whose y lies between two values; `None` if there is no such part.
@@ -294,16 +323,11 @@ const ROUNDING: f64 = 1e-9;
 /// Exact distance from a convex polygon (counter-clockwise) to the closed square of a cell, cells.
 fn polygon_to_square(outline: &[Point2<f64>], x: u32, y: u32) -> f64 {
     let center = Point2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-    let edges = || outline.iter().zip(outline.iter().cycle().skip(1));
-    let inside = edges().all(|(a, b)| {
-        let (d, to) = (b - a, center - a);
-        d.x * to.y - d.y * to.x >= 0.0
-    });
-    if inside {
+    if edges(outline).all(|Edge { a, b }| cross(b - a, center - a) >= 0.0) {
         return 0.0;
     }
     // The square's centre is outside, so a polygon that meets the square has an edge that does.
-    edges()
-        .map(|(a, b)| segment_to_square(*a, *b, x, y))
+    edges(outline)
+        .map(|Edge { a, b }| segment_to_square(a, b, x, y))
         .fold(f64::INFINITY, f64::min)
 }

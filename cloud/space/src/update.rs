@@ -213,7 +213,6 @@ impl ConfigurationSpace {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
     use zenav_protocol::grid::Cell;

@@ -11,6 +11,8 @@ use zenav_protocol::robot::Footprint;
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
 use super::shapes::{capsule_clearance, disc_clearance, polygon_clearance};
 
+/// A clearance of this size answers whether there is any, m.
+const ANY: f64 = 1e-6;
 /// Sweeps are bisected until their clearance is certain to within this, m.
 const SWEEP_TOLERANCE: f64 = 1e-3;
 
@@ -38,16 +40,25 @@ impl ConfigurationSpace {
         if !pose.is_finite() || !self.is_permitted(pose.position()) {
             return false;
         }
-        let enough = self.footprint.circumscribed_radius() + self.spec.resolution;
-        let clearance = disc_clearance(self.obstacles(), &self.spec, pose.position(), enough);
-        if clearance <= self.footprint.inscribed_radius() {
+        let at = pose.position();
+        if let Some(cell) = self.spec.cell_at(at) {
+            // The distance of the cell's centre bounds that of the point, and often decides.
+            let (distance, off) = (self.field.distance(cell), (self.spec.center(cell) - at).norm());
+            if distance < self.reach() && distance + off < self.footprint.inscribed_radius() {
+                return false;
+            }
+            if distance - off > self.footprint.circumscribed_radius() {
+                return true;
+            }
+        }
+        match self.footprint {
             // A disc that touches an obstacle collides; a point collides only on the obstacle's closed square.
-            return false;
+            Footprint::Radius(radius) => {
+                let enough = radius + self.spec.resolution;
+                disc_clearance(self.obstacles(), &self.spec, at, enough) > radius
+            }
+            Footprint::Polygon(_) => self.footprint_clearance_within(pose, ANY) > 0.0,
         }
-        if matches!(self.footprint, Footprint::Radius(_)) || clearance > self.footprint.circumscribed_radius() {
-            return true;
-        }
-        self.footprint_clearance(pose) > 0.0
     }
 
     /// Whether the policy for unknown cells lets the robot's centre be at a point.
@@ -118,11 +129,16 @@ impl ConfigurationSpace {
                 return (disc_clearance(self.obstacles(), &self.spec, at, limit + radius) - radius).max(0.0);
             }
         };
-        // The footprint has at least the clearance of its circumscribed disc.
-        let beside = |cell| self.field.distance(cell) - (self.spec.center(cell) - at).norm();
-        let around = self.footprint.circumscribed_radius();
-        if self.spec.cell_at(at).is_some_and(|cell| beside(cell) >= around + limit) {
-            return limit;
+        let mut limit = limit;
+        if let Some(cell) = self.spec.cell_at(at) {
+            // The footprint has at least the clearance of its circumscribed disc, and at most that of its inscribed disc.
+            let (distance, off) = (self.field.distance(cell), (self.spec.center(cell) - at).norm());
+            if distance - off >= self.footprint.circumscribed_radius() + limit {
+                return limit;
+            }
+            if distance < self.reach() {
+                limit = limit.min((distance + off - self.footprint.inscribed_radius()).max(ANY));
+            }
         }
         let outline = corners
             .iter()
@@ -177,8 +193,8 @@ impl ConfigurationSpace {
             * self.spec.resolution
     }
 
-    /// Least distance of the true footprint to an obstacle while it moves through the poses, m; at most [`reach`](Self::reach). Between
-    /// two poses position and heading (the shorter way round) change linearly.
+    /// Least distance of the true footprint to an obstacle while it moves through the poses, m; at most [`reach`](Self::reach), and at most
+    /// `limit` (m): the smaller, the faster. Between two poses position and heading (the shorter way round) change linearly.
     ///
     /// Never above the true value, and at most a millimetre below it (for steps that a robot makes; after ten thousand bisections a safe
     /// bound is returned): zero means a collision or less than a millimetre to spare.
@@ -193,15 +209,9 @@ impl ConfigurationSpace {
     /// # let mut map = Grid::filled(spec, Occupancy::FREE);
     /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
     /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
-    /// let clearance = space.sweep_min_clearance(&[Pose2::new(1.0, 2.5, 0.0), Pose2::new(3.0, 2.5, 0.5)]);
+    /// let clearance = space.sweep_clearance_within(&[Pose2::new(1.0, 2.5, 0.0), Pose2::new(3.0, 2.5, 0.5)], 1.0);
     /// assert!((clearance - 0.2).abs() < 1e-3);
     /// ```
-    #[must_use]
-    pub fn sweep_min_clearance(&self, poses: &[Pose2]) -> f64 {
-        self.sweep_clearance_within(poses, self.reach())
-    }
-
-    /// Like [`sweep_min_clearance`](Self::sweep_min_clearance), but at most `limit` (m): the smaller, the faster.
     #[must_use]
     pub fn sweep_clearance_within(&self, poses: &[Pose2], limit: f64) -> f64 {
         let mut least = limit.min(self.reach());
@@ -268,7 +278,7 @@ impl ConfigurationSpace {
 mod tests {
     use nalgebra::Vector2;
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 
     use super::*;
 
@@ -288,12 +298,7 @@ mod tests {
     }
 
     fn oblong() -> Footprint {
-        Footprint::Polygon(vec![
-            Point2::new(-0.3, -0.12),
-            Point2::new(0.25, -0.15),
-            Point2::new(0.3, 0.12),
-            Point2::new(-0.25, 0.15),
-        ])
+        zenav_fixtures::footprint(&[(-0.3, -0.12), (0.25, -0.15), (0.3, 0.12), (-0.25, 0.15)])
     }
 
     /// Least distance from a point to the occupied squares.
@@ -409,7 +414,7 @@ mod tests {
                 });
                 let sampled = sampled.fold(f64::INFINITY, f64::min);
                 let step = (from.distance(&to) + turn.abs() * footprint.circumscribed_radius()) / f64::from(samples);
-                let clearance = space.sweep_min_clearance(&[from, to]);
+                let clearance = space.sweep_clearance_within(&[from, to], space.reach());
                 prop_assert!(clearance <= sampled + 1e-9, "{clearance} above {sampled}");
                 prop_assert!(clearance >= sampled - step - SWEEP_TOLERANCE - 1e-9, "{clearance} below {sampled}");
             }
@@ -432,7 +437,7 @@ mod tests {
                 let (_, _, _) = (space.is_valid(pose), space.footprint_clearance(pose), space.nearest_free(pose.position()));
                 let _ = space.segment_is_free(pose.position(), Point2::new(u, x), u);
                 let _ = space.segment_clearance(pose.position(), Point2::new(u, x));
-                let _ = space.sweep_min_clearance(&[pose, Pose2 { x: u, y: x, yaw: y }]);
+                let _ = space.sweep_clearance_within(&[pose, Pose2 { x: u, y: x, yaw: y }], f64::INFINITY);
             }
         }
     }
@@ -459,8 +464,7 @@ mod tests {
             height: 200,
             ..SPEC
         };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        grid[Cell::new(5, 100)] = Occupancy::OCCUPIED;
+        let grid = zenav_fixtures::map_with_occupied(spec, &[(5, 100)]);
         let space = ConfigurationSpace::new(&grid, &Footprint::Radius(1.0), UnknownPolicy::Free, 0.0);
         assert!(!space.is_free(Cell::new(105, 100)) && space.is_free(Cell::new(106, 100)));
         let beside = spec.center(Cell::new(106, 100));

@@ -245,7 +245,8 @@ impl MappingCore {
         self
     }
 
-    /// Continues in a map that another mapping service made: SLAM starts where the robot is localised in it.
+    /// Continues in a map that SLAM did not make, as another mapping service did or somebody has loaded it: SLAM starts where the robot is
+    /// localised in it, and draws over it.
     pub(super) fn locate_first(&mut self) {
         if let Poses::Slam(slam) = &mut self.poses {
             slam.locate_first(&self.mapper);

@@ -9,6 +9,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use zenav_localisation::LocalisationSettings;
+use zenav_mapping::store::StoredMap;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{
@@ -57,7 +58,7 @@ pub(super) struct SlamPoses {
     search: Search,
     /// Localises the robot in the map while the map is held.
     held: Option<Box<LocalisedPoses>>,
-    /// The map that SLAM began in and did not make: the copy of another mapping service's. Closures do not move it.
+    /// The map that SLAM began in and did not make: the copy of another mapping service's, or one that was loaded. Closures do not move it.
     base: Option<Box<Mapper>>,
     /// The last scan of the main lidar, if it was sane.
     last: Option<Scan>,
@@ -90,6 +91,14 @@ pub(super) struct SlamPoses {
     is_overdue: bool,
     health: Health,
     statements: Statements,
+}
+
+/// A stored map as one to draw over, with the settings of `mapper`.
+fn below(mapper: &Mapper, stored: &StoredMap) -> Mapper {
+    let mut below = mapper.redrawing();
+    below.load(stored.record.map.clone(), &stored.grid, Vec::new(), 0);
+    below.restore_touched(&stored.record.touched);
+    below
 }
 
 impl SlamPoses {
@@ -141,8 +150,10 @@ impl SlamPoses {
             head,
             slam,
             scans,
+            base,
             on_disk,
         } = stored;
+        let base = base.map(|base| Box::new(below(mapper, &base)));
         let slam = if *slam.settings() == settings {
             slam
         } else {
@@ -170,10 +181,12 @@ impl SlamPoses {
             handed: scans.len(),
             is_overdue: false,
             scans: scans.into_iter().map(Arc::new).collect(),
+            base,
             ..Self::new(settings, localisation, head.frame)
         };
         mapper.set_frame(head.frame);
-        poses.redraw = Some(Redraw::begin(mapper, None, &slam, &poses.scans, Stamp::ZERO));
+        let redraw = Redraw::begin(mapper, poses.base.as_deref(), &slam, &poses.scans, Stamp::ZERO);
+        poses.redraw = Some(redraw);
         poses.slam = Some(slam);
         let is_moved = poses.new_from_drawn != Pose2::IDENTITY;
         poses.swap(mapper);
@@ -206,16 +219,24 @@ impl SlamPoses {
                 parts: self.parts.clone(),
                 // Added by the service.
                 annotations: Carried::default(),
+                base: self
+                    .base
+                    .as_ref()
+                    .map_or_else(String::new, |base| base.map().id.clone()),
             },
             session,
             change: self.changes,
-            is_whole: self.base.is_none(),
             on_disk: self.on_disk,
             scans: self.scans[self.on_disk.scans..].to_vec(),
+            base: self
+                .base
+                .as_ref()
+                .filter(|_| !self.on_disk.has_base)
+                .map(|base| base.snapshot()),
         }))
     }
 
-    /// Starts where the robot is localised in the present map, which another service made and which stays below what is drawn.
+    /// Starts where the robot is localised in the present map, which SLAM did not make and which stays below what is drawn.
     pub(super) fn locate_first(&mut self, mapper: &Mapper) {
         self.held = Some(Box::new(LocalisedPoses::new(*self.search.settings(), &mapper.grid())));
         self.base = Some(Box::new(mapper.clone()));

@@ -1,9 +1,10 @@
 //! Session of SLAM. The SLAM state of a robot that outlives its process.
 //!
-//! Two files in the robot's folder. `slam.scans`: the scan of each node, one line of JSON each, in node order; it only grows.
+//! Two files and a folder in the robot's folder. `slam.scans`: the scan of each node, one line of JSON each, in node order; it only grows.
+//! `slam.base`: the map that SLAM began in and did not make, if there is one, as `zenav_mapping::store` keeps it; it never changes.
 //! `slam.session`: one line of JSON with the frame and its data, then the bytes of [`Slam::save`]; it is replaced atomically, after the
-//! scans it refers to are on disk. Later scans in `slam.scans` belong to no session and are overwritten. So whatever fails, the previously
-//! stored session stays whole.
+//! scans and the map that it refers to are on disk. Later scans in `slam.scans` belong to no session and are overwritten. So whatever fails,
+//! the previously stored session stays whole.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, Write};
@@ -12,7 +13,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use zenav_mapping::{MapFileError, write_atomically};
+use zenav_mapping::store::{self, MapRecord, StoredMap};
+use zenav_mapping::{MapFileError, MapSnapshot, write_atomically};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_slam::{SessionError, Slam, Snapshot};
@@ -23,6 +25,8 @@ use super::annotations::Carried;
 const SESSION: &str = "slam.session";
 /// Scans of the nodes.
 const SCANS: &str = "slam.scans";
+/// The map that SLAM began in.
+const BASE: &str = "slam.base";
 
 /// Data of a SLAM map besides its poses and measurements.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -45,28 +49,33 @@ pub(super) struct Head {
     /// Where places and zones lie in the frame.
     #[serde(default)]
     pub(super) annotations: Carried,
+    /// Id of the map that SLAM began in and did not make; empty if it made its map itself.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub(super) base: String,
 }
 
-/// How much of `slam.scans` belongs to the last stored session.
+/// What of a session is on disk already.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct OnDisk {
     /// Number of scans that belong to it.
     pub(super) scans: usize,
     /// Their length, bytes.
     pub(super) bytes: u64,
+    /// Whether the map that it began in is there, if it began in one.
+    pub(super) has_base: bool,
 }
 
-/// A session to store, with those of its scans that are not on disk yet.
+/// A session to store, with what of it is not on disk yet.
 #[derive(Debug)]
 pub(super) struct Kept {
     pub(super) head: Head,
     pub(super) session: Snapshot,
     /// Number of the change that it leads a successor to.
     pub(super) change: u64,
-    /// Whether the whole map can be drawn from it: SLAM did not begin in the map of another mapping service.
-    pub(super) is_whole: bool,
     pub(super) on_disk: OnDisk,
     pub(super) scans: Vec<Arc<Scan>>,
+    /// The map that SLAM began in.
+    pub(super) base: Option<MapSnapshot>,
 }
 
 /// A session that is on disk.
@@ -85,6 +94,8 @@ pub(super) struct Stored {
     pub(super) head: Head,
     pub(super) slam: Slam,
     pub(super) scans: Vec<Scan>,
+    /// The map that SLAM began in.
+    pub(super) base: Option<StoredMap>,
     pub(super) on_disk: OnDisk,
 }
 
@@ -114,6 +125,12 @@ pub(super) enum KeepError {
         /// Number of scans found.
         found: usize,
     },
+    /// The map that SLAM began in is missing, or another one.
+    #[error("expected the map `{expected}` in `{BASE}`, in which the session began")]
+    Base {
+        /// Id of that map.
+        expected: String,
+    },
     /// The scans on disk are not those that were written: all must be written again.
     #[error("expected {expected} bytes of scans in `{SCANS}`, found {found}: somebody else changed the file")]
     Changed {
@@ -124,9 +141,20 @@ pub(super) enum KeepError {
     },
 }
 
-/// Stores a session in a folder. When this returns, the session is on disk; the result says how much of `slam.scans` belongs to it.
+/// Stores a session in a folder. When this returns, the session is on disk; the result says what of it need not be written again.
 pub(super) fn write(folder: &Path, kept: Kept) -> Result<OnDisk, KeepError> {
     fs::create_dir_all(folder)?;
+    if let Some(base) = &kept.base {
+        let stored = StoredMap {
+            grid: base.grid(),
+            record: MapRecord {
+                map: base.info.map.clone(),
+                touched: base.touched.clone(),
+                ..MapRecord::default()
+            },
+        };
+        store::save(&folder.join(BASE), &stored)?;
+    }
     let mut lines = Vec::new();
     for scan in &kept.scans {
         serde_json::to_writer(&mut lines, scan.as_ref())?;
@@ -145,6 +173,7 @@ pub(super) fn write(folder: &Path, kept: Kept) -> Result<OnDisk, KeepError> {
     Ok(OnDisk {
         scans: kept.on_disk.scans + kept.scans.len(),
         bytes: kept.on_disk.bytes + lines.len() as u64,
+        has_base: !kept.head.base.is_empty(),
     })
 }
 
@@ -182,6 +211,10 @@ pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
     let line = bytes.iter().position(|byte| *byte == b'\n').unwrap_or(bytes.len());
     let head: Head = serde_json::from_slice(&bytes[..line])?;
     let slam = Slam::load(bytes.get(line + 1..).unwrap_or_default())?;
+    let base = match head.base.as_str() {
+        "" => None,
+        id => Some(read_base(folder, id)?),
+    };
     let expected = slam.nodes().len();
     let mut scans = Vec::with_capacity(expected);
     let mut length = 0;
@@ -203,13 +236,25 @@ pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
     let on_disk = OnDisk {
         scans: expected,
         bytes: length,
+        has_base: base.is_some(),
     };
     Ok(Some(Stored {
         head,
         slam,
         scans,
+        base,
         on_disk,
     }))
+}
+
+/// Reads the map of this id, in which the session of a folder began.
+fn read_base(folder: &Path, id: &str) -> Result<StoredMap, KeepError> {
+    let stored = store::load(&folder.join(BASE))?;
+    stored
+        .filter(|stored| stored.record.map.id == id)
+        .ok_or_else(|| KeepError::Base {
+            expected: id.to_owned(),
+        })
 }
 
 /// Deletes the session of a folder.
@@ -221,7 +266,10 @@ pub(super) fn remove(folder: &Path) -> io::Result<()> {
             _ => {}
         }
     }
-    Ok(())
+    match fs::remove_dir_all(folder.join(BASE)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// Moves a session out of the way, to unused names: `slam.session.KIND`, or the same with a number appended. Returns the session's new
@@ -237,27 +285,35 @@ pub(super) fn set_aside(folder: &Path, kind: &str) -> io::Result<Option<PathBuf>
         } else {
             format!("{kind}.{number}")
         };
-        let names = [SCANS, SESSION].map(|name| folder.join(format!("{name}.{suffix}")));
-        if !names[0].try_exists()? && !names[1].try_exists()? {
+        let names = [SCANS, BASE, SESSION].map(|name| folder.join(format!("{name}.{suffix}")));
+        let mut taken = false;
+        for name in &names {
+            taken |= name.try_exists()?;
+        }
+        if !taken {
             break names;
         }
         number += 1;
     };
-    // Scans first: a session left without scans is still recognised, while scans left alone would be overwritten.
-    for (name, aside) in [SCANS, SESSION].into_iter().zip(&aside) {
+    // The session last: left without the rest it is still recognised, while the rest left alone would be overwritten.
+    for (name, aside) in [SCANS, BASE, SESSION].into_iter().zip(&aside) {
         match fs::rename(folder.join(name), aside) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }
     }
-    let [_, session] = aside;
+    let [.., session] = aside;
     Ok(Some(session))
 }
 
 impl KeepError {
     /// Whether a file could not be read, which does not mean that its content is bad.
     pub(super) fn is_transient(&self) -> bool {
-        matches!(self, Self::Io(_))
+        match self {
+            Self::Io(_) => true,
+            Self::File(MapFileError::Io { source, .. }) => source.kind() != io::ErrorKind::NotFound,
+            _ => false,
+        }
     }
 }
 

@@ -228,3 +228,140 @@ impl Workers {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use zenav_protocol::bus::{AliveToken, BusConfig};
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::messages::{MapRef, PlanOutcome, PlanReply, PlanRequest};
+
+    use super::*;
+    use crate::testing::router;
+
+    const ROBOT: &str = "tiago";
+    const SERVICE: &str = "motion";
+    const LONG: Duration = Duration::from_secs(20);
+
+    /// A worker under a name, until its session closes.
+    struct Fake {
+        bus: Bus,
+        _alive: AliveToken,
+    }
+
+    impl Fake {
+        /// Answers each request after a time, by the worker's name; never without one.
+        async fn start(
+            endpoint: &str,
+            name: &'static str,
+            takes: impl Fn(&str) -> Option<Duration> + Send + 'static,
+        ) -> Self {
+            let bus = Bus::open(BusConfig::service(name, endpoint)).await.unwrap();
+            let mut server = bus.serve(&topics::MOTION_SERVICE, &[name]).unwrap();
+            let alive = topics::alive_key(topics::ALIVE_WORKER, &[SERVICE, name]);
+            tokio::spawn(async move {
+                let mut unanswered = Vec::new();
+                while let Some(request) = server.next().await {
+                    match takes(name) {
+                        Some(time) => {
+                            tokio::spawn(async move {
+                                tokio::time::sleep(time).await;
+                                let map = MapRef {
+                                    id: name.to_owned(),
+                                    ..MapRef::default()
+                                };
+                                let reply = PlanReply::without_path(map, PlanOutcome::NoPath);
+                                request.reply(&MotionReply::Plan(reply));
+                            });
+                        }
+                        None => unanswered.push(request),
+                    }
+                }
+            });
+            Self {
+                _alive: bus.declare_alive(alive).unwrap(),
+                bus,
+            }
+        }
+    }
+
+    fn request() -> Arc<MotionRequest> {
+        Arc::new(MotionRequest::Plan(PlanRequest {
+            robot: ROBOT.to_owned(),
+            model: zenav_fixtures::robot(ROBOT),
+            map: MapRef::default(),
+            start: Pose2::IDENTITY,
+            via: Vec::new(),
+            goal: Pose2::IDENTITY,
+            planner: "astar".to_owned(),
+            unknown_is_free: false,
+            cleared: Vec::new(),
+            yield_to: Vec::new(),
+            escape: 0.0,
+            goal_tolerance: 0.0,
+            budget_ms: 3000,
+            seed: 1,
+        }))
+    }
+
+    /// Asks once; returns which worker answered, and after what time.
+    async fn ask(workers: &Workers, bus: &Bus) -> (String, Duration) {
+        let begun = Instant::now();
+        match workers.ask(bus, ROBOT, request(), LONG).await {
+            Ok(MotionReply::Plan(reply)) => (reply.map.id, begun.elapsed()),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// The robot's own worker takes this long, or for ever, and the other one answers at once: who answers the first two requests?
+    async fn answers(own_takes: Option<Duration>) -> [(bool, Duration); 2] {
+        let (router, endpoint) = router().await;
+        let bus = Bus::open(BusConfig::service("mission", &endpoint)).await.unwrap();
+        let workers = Workers::watch(&bus, SERVICE).unwrap();
+        // Who is the robot's own follows from the names alone.
+        let mut pool = WorkerPool::default();
+        ["a", "b"].iter().for_each(|name| pool.set_live(name, true));
+        let own = pool.choose(ROBOT, &BTreeSet::new(), Duration::ZERO).unwrap().to_owned();
+        let takes = move |own: String| {
+            move |name: &str| match name == own {
+                true => own_takes,
+                false => Some(Duration::ZERO),
+            }
+        };
+        let fakes = [
+            Fake::start(&endpoint, "a", takes(own.clone())).await,
+            Fake::start(&endpoint, "b", takes(own.clone())).await,
+        ];
+        let both = async {
+            while workers.count() < 2 {
+                workers.update();
+                tokio::task::yield_now().await;
+            }
+        };
+        tokio::time::timeout(LONG, both).await.unwrap();
+        let mut found = Vec::new();
+        for _ in 0..2 {
+            let (name, took) = ask(&workers, &bus).await;
+            found.push((name == own, took));
+        }
+        for fake in fakes {
+            fake.bus.close().await;
+        }
+        bus.close().await;
+        router.close().await;
+        found.try_into().unwrap()
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_worker_that_is_slow_or_silent_costs_one_deadline_and_then_nothing() {
+        for takes in [Some(Duration::from_secs(8)), None] {
+            let [(first_is_own, first), (second_is_own, second)] = answers(takes).await;
+            assert!(!first_is_own && !second_is_own, "{takes:?}");
+            // The hedge while no answer times are known is half a second; the limit is far from the slow worker's time.
+            assert!(
+                first >= Duration::from_millis(400) && first < Duration::from_secs(4),
+                "{takes:?}: {first:?}"
+            );
+            assert!(second < first, "{takes:?}: {second:?} after {first:?}");
+        }
+    }
+}

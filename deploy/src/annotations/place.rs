@@ -11,8 +11,9 @@ use zenav_protocol::topics;
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::{change, read};
+use crate::arguments::{finite, heading};
 use crate::completion;
-use crate::connect::{self, RobotArgs, finite, heading};
+use crate::connect::{self, RobotArgs};
 use crate::failure::Outcome;
 use crate::output::{self, Format};
 
@@ -25,7 +26,6 @@ const LOOK_WITHIN: Duration = Duration::from_secs(2);
     after_help = "Examples:\n  zenav place add fridge 1.2 -0.4 1.57\n  zenav goal submit --place fridge --wait\n  zenav place remove fridge\n\nPlaces are kept in the data folder of mapping, beside those of the world, and outlive a restart."
 )]
 pub struct PlaceArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -134,14 +134,11 @@ fn quoted(name: &str) -> Cow<'_, str> {
 }
 
 fn table(places: &BTreeMap<String, GoalPoint>) -> String {
-    let rows: Vec<Vec<String>> = places
-        .iter()
-        .map(|(name, at)| {
-            let yaw = at.yaw.map_or_else(|| "any".to_owned(), |yaw| format!("{yaw:.3}"));
-            vec![name.clone(), format!("{:.2}", at.x), format!("{:.2}", at.y), yaw]
-        })
-        .collect();
-    output::table(&["PLACE", "X m", "Y m", "YAW rad"], &rows)
+    let rows = places.iter().map(|(name, at)| {
+        let yaw = at.yaw.map_or_else(|| "any".to_owned(), |yaw| format!("{yaw:.3}"));
+        [name.clone(), format!("{:.2}", at.x), format!("{:.2}", at.y), yaw]
+    });
+    output::table(&["PLACE", "X m", "Y m", "YAW rad"], rows)
 }
 
 #[cfg(test)]

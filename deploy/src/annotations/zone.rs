@@ -4,8 +4,9 @@ use nalgebra::Point2;
 use zenav_protocol::messages::{AnnotateAction, Zone, ZoneRule};
 
 use super::{change, read};
+use crate::arguments::{finite, positive};
 use crate::completion;
-use crate::connect::{self, RobotArgs, finite, positive};
+use crate::connect::{self, RobotArgs};
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
@@ -15,7 +16,6 @@ use crate::output::{self, Format};
     after_help = "Examples:\n  zenav zone add wet --keep-out 0.2 -1 0.8 -1 0.8 -0.4 0.2 -0.4\n  zenav zone add door --max-speed 0.2 1 0 2 0 2 1 1 1\n  zenav zone remove wet\n\nA zone acts on the plan that is driven too: the robot plans anew around it. Zones are kept in the data folder of mapping, beside those of\nthe deployment's file, and outlive a restart."
 )]
 pub struct ZoneArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -106,26 +106,18 @@ impl AddArgs {
 }
 
 fn table(zones: &[Zone]) -> String {
-    let rows: Vec<Vec<String>> = zones
-        .iter()
-        .map(|zone| {
-            let rule = match zone.rule {
-                ZoneRule::KeepOut => "keep out".to_owned(),
-                ZoneRule::SpeedLimit { max_speed } => format!("at most {max_speed} m/s"),
-            };
-            let corners: Vec<String> = zone
-                .points
-                .iter()
-                .map(|point| format!("{:.2},{:.2}", point.x, point.y))
-                .collect();
-            vec![zone.name.clone(), rule, corners.join(" ")]
-        })
-        .collect();
-    output::table(&["ZONE", "RULE", "CORNERS m"], &rows)
+    let rows = zones.iter().map(|zone| {
+        let rule = match zone.rule {
+            ZoneRule::KeepOut => "keep out".to_owned(),
+            ZoneRule::SpeedLimit { max_speed } => format!("at most {max_speed} m/s"),
+        };
+        let corners = zone.points.iter().map(|point| format!("{:.2},{:.2}", point.x, point.y));
+        [zone.name.clone(), rule, corners.collect::<Vec<_>>().join(" ")]
+    });
+    output::table(&["ZONE", "RULE", "CORNERS m"], rows)
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

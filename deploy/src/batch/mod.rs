@@ -6,20 +6,19 @@
 //! | `watchdog` | how is a search stopped at its time limit? |
 //! | `plan` | `zenav plan`: search only |
 //! | `smooth` | `zenav smooth`: search, corridor, geometry, time law |
-//! | `bench` | `zenav sim bench` |
+//! | `sim` | `zenav sim`: show, bench, serve |
 //! | `show` | `zenav sim show`: a picture of a world |
 
-mod bench;
 mod plan;
 mod queries;
 mod show;
-pub mod sim_bench;
+mod sim;
 mod smooth;
 mod watchdog;
 
-pub use bench::{SimArgs, sim};
 pub use plan::{PlanArgs, plan};
 pub(crate) use show::backdrop;
+pub use sim::{SimArgs, sim};
 pub use smooth::{SmoothArgs, smooth};
 
 use std::io::{BufWriter, Write};
@@ -28,22 +27,13 @@ use std::time::Duration;
 
 use indicatif::ProgressBar;
 use zenav_planning::Planner;
-use zenav_protocol::grid::OccupancyGrid;
 
 use crate::failure::Failure;
-use crate::{files, output};
+use crate::output;
 
 /// A progress bar on a terminal, otherwise nothing.
 pub(crate) fn progress(length: usize) -> ProgressBar {
     output::progress(ProgressBar::new(length as u64), "{bar:40} {pos}/{len} {eta}")
-}
-
-/// The map; `resolution` applies if its file gives none.
-fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failure> {
-    match resolution {
-        Some(resolution) if path.is_file() => zenav_mapping::read_map(path, resolution).map_err(Failure::usage),
-        _ => files::map(path),
-    }
 }
 
 /// A planner by name; the error lists the known ones.

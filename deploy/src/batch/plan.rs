@@ -11,12 +11,13 @@ use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy, 
 
 use super::queries::{self, Query};
 use super::watchdog::{Watchdog, timed};
-use super::{Results, folder, median, planner, progress, read_map};
+use super::{Results, folder, median, planner, progress};
+use crate::arguments::{self, positive};
 use crate::completion;
-use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
+use crate::output::listed;
 
 /// Most samples for improving a path within a time limit: about 100 MB.
 const MOST_SAMPLES: u64 = 1_000_000;
@@ -59,7 +60,7 @@ pub struct PlanArgs {
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
     /// Seed of sampling-based planners
-    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
+    #[arg(long, default_value_t = 1, value_parser = arguments::whole::<u64>)]
     seed: u64,
     /// Treat unknown cells as free
     #[arg(long)]
@@ -74,7 +75,7 @@ pub struct PlanArgs {
 /// # Errors
 /// [`exit_code::NOT_FOUND`] for missing files, [`exit_code::USAGE`] for bad ones.
 pub fn plan(args: &PlanArgs) -> Outcome {
-    let grid = read_map(&args.map, args.resolution)?;
+    let grid = files::map_at(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
     let zones = files::zones(args.zones.as_deref())?;
     let space = PlanningSpace::of(&grid, args.robot.as_deref(), args.unknown_is_free, &zones)?;
@@ -313,12 +314,11 @@ impl Tally {
             ));
         }
         if !self.limited.is_empty() {
-            let numbers: Vec<String> = self.limited.iter().take(LISTED).map(usize::to_string).collect();
             let more = if self.limited.len() > LISTED { ", …" } else { "" };
             text.push_str(&format!(
                 "; {} ended at the limit, so there may be a path: number {}{more} (the first is 0)",
                 self.limited.len(),
-                numbers.join(", ")
+                listed(self.limited.iter().take(LISTED))
             ));
         }
         text
@@ -326,7 +326,6 @@ impl Tally {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::cli::parsed;
@@ -486,15 +485,7 @@ mod tests {
         );
         let of_unknown = "; 2 with the start too close to an obstacle or in a keep-out zone";
         assert!(told(true).ends_with(of_unknown), "{}", told(true));
-        let grid = OccupancyGrid::filled(
-            GridSpec {
-                origin: Point2::origin(),
-                resolution: 1.0,
-                width: 2,
-                height: 2,
-            },
-            Occupancy::UNKNOWN,
-        );
+        let grid = OccupancyGrid::filled(zenav_fixtures::spec(2, 2, 1.0), Occupancy::UNKNOWN);
         assert_eq!(ends(&query, &grid), Some([Unknown, Unknown]));
     }
 

@@ -93,18 +93,8 @@ fn parse(text: &str) -> Result<Vec<Query>, String> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
-    use nalgebra::Point2;
-
     use super::*;
-
-    const SPEC: GridSpec = GridSpec {
-        origin: Point2::new(0.0, 0.0),
-        resolution: 1.0,
-        width: 4,
-        height: 3,
-    };
 
     #[test]
     fn lines_are_read_with_and_without_an_optimum() {
@@ -123,9 +113,10 @@ mod tests {
     #[test]
     fn rows_count_from_the_top() {
         let query = &parse("0 0 3 2").unwrap()[0];
-        assert_eq!(query.cells(&SPEC), Some((Cell::new(0, 2), Cell::new(3, 0))));
-        assert_eq!(parse("-1 0 0 0").unwrap()[0].cells(&SPEC), None, "outside the map");
-        assert_eq!(parse("0 0 4 0").unwrap()[0].cells(&SPEC), None);
+        let spec = zenav_fixtures::spec(4, 3, 1.0);
+        assert_eq!(query.cells(&spec), Some((Cell::new(0, 2), Cell::new(3, 0))));
+        assert_eq!(parse("-1 0 0 0").unwrap()[0].cells(&spec), None, "outside the map");
+        assert_eq!(parse("0 0 4 0").unwrap()[0].cells(&spec), None);
     }
 
     #[test]

@@ -11,8 +11,8 @@ use zenav_sim::movers::{MoverModel, Route};
 use zenav_sim::scatter::scatter;
 use zenav_sim::{RobotSpec, Simulation, World};
 
+use crate::arguments;
 use crate::completion;
-use crate::connect;
 use crate::drawing::canvas::{Canvas, Color};
 use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, outline};
 use crate::failure::{Failure, Outcome};
@@ -45,16 +45,16 @@ pub(super) struct ShowArgs {
     #[arg(long, value_name = "R", default_value = "tiago", add = completion::models())]
     robot: String,
     /// Number of robots: the first at the world's start, the others at random free places
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = arguments::whole::<usize>)]
     robots: usize,
     /// Simulated time at which movers and doors are shown, s
-    #[arg(long, value_name = "SECS", default_value_t = 0.0, value_parser = connect::finite)]
+    #[arg(long, value_name = "SECS", default_value_t = 0.0, value_parser = arguments::finite)]
     time: f64,
     /// Seed of walkers and of the other robots' poses
-    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
+    #[arg(long, default_value_t = 1, value_parser = arguments::whole::<u64>)]
     seed: u64,
     /// Length of the picture's longer side, px
-    #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = connect::whole_in(64..=8192_u32))]
+    #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = arguments::whole_in(64..=8192_u32))]
     size: u32,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]

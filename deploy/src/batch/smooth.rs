@@ -18,9 +18,9 @@ use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::queries::{self, Query};
 use super::watchdog::{Watchdog, timed};
-use super::{Results, folder, median, planner, progress, read_map};
+use super::{Results, folder, median, planner, progress};
+use crate::arguments::positive;
 use crate::completion;
-use crate::connect::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -83,7 +83,7 @@ pub struct SmoothArgs {
 pub fn smooth(args: &SmoothArgs) -> Outcome {
     let mut model = files::robot(&args.robot)?;
     model.drive.max_jerk = args.jerk_limit.or(model.drive.max_jerk);
-    let grid = read_map(&args.map, args.resolution)?;
+    let grid = files::map_at(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
     let zones = files::zones(args.zones.as_deref())?;
     let policy = UnknownPolicy::of(args.unknown_is_free);
@@ -98,7 +98,7 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
         }
     };
     options.any_heading = true;
-    let mut workshop = Workshop {
+    let mut pipeline = Pipeline {
         space,
         searcher,
         model,
@@ -113,7 +113,7 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
     let mut tally = Tally::default();
     let bar = progress(queries.len());
     for (number, query) in queries.iter().enumerate() {
-        let (search_us, smoothed) = workshop.answer(query);
+        let (search_us, smoothed) = pipeline.answer(query);
         results.line(format_args!("{}", line(search_us, smoothed.as_ref())))?;
         if let Some(folder) = &args.trajectory {
             write_trajectory(&folder.join(format!("{number:04}.csv")), smoothed.as_ref())?;
@@ -128,7 +128,7 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
 }
 
 /// One map, one robot, and the state of search and smoothing.
-struct Workshop {
+struct Pipeline {
     space: ConfigurationSpace,
     searcher: Searcher,
     model: RobotModel,
@@ -139,7 +139,7 @@ struct Workshop {
     start: Instant,
 }
 
-impl Workshop {
+impl Pipeline {
     /// Search time, µs, and trajectory; `None` without a path.
     fn answer(&mut self, query: &Query) -> (f64, Option<SmoothedPieces>) {
         let spec = *self.space.spec();
@@ -275,9 +275,7 @@ impl Tally {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
     use zenav_smoothing::Fallback;
 
     use super::*;
@@ -299,15 +297,9 @@ mod tests {
     #[test]
     fn a_leg_that_is_planned_backwards_is_driven_backwards() {
         let model = files::robot("tiago").unwrap();
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.05,
-            width: 100,
-            height: 60,
-        };
-        let grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        let grid = zenav_fixtures::free_map(zenav_fixtures::spec(100, 60, 0.05));
         let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
-        let workshop = Workshop {
+        let pipeline = Pipeline {
             searcher: Searcher::new(space.free()).unwrap(),
             space,
             model,
@@ -319,7 +311,7 @@ mod tests {
         };
         // Two metres along x, and one metre back.
         let path = [1.0, 3.0, 2.0].map(|x| Point2::new(x, 1.5));
-        let driven = workshop.driven(path[0], &path, &[1]);
+        let driven = pipeline.driven(path[0], &path, &[1]);
         let states = driven.states(PERIOD);
         assert!(states.windows(2).all(|pair| pair[0].point.t < pair[1].point.t));
         assert!(
@@ -330,7 +322,7 @@ mod tests {
         assert!(least < -0.1 && (states[states.len() - 1].point.x - 2.0).abs() < 1e-6);
         assert!(line(1.0, Some(&driven)).starts_with("1.000 "));
         // Backwards from the start on: the robot looks away from its goal.
-        let states = workshop.driven(path[1], &path[1..], &[0]).states(PERIOD);
+        let states = pipeline.driven(path[1], &path[1..], &[0]).states(PERIOD);
         assert!(
             states
                 .iter()

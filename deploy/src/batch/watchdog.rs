@@ -1,35 +1,27 @@
 //! Watchdog. Ends a search at its time limit, although the search knows no clock: a thread sets its cancel flag.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use zenav_planning::{Budget, PlanningSettings};
 
-/// Sets a flag at a time limit after being armed.
+/// Sets the cancel flags of searches that take longer than a time limit.
 pub(super) struct Watchdog {
     limit: Duration,
-    shared: Arc<Shared>,
+    watched: Sender<Option<Watched>>,
 }
 
-struct Shared {
-    cancel: AtomicBool,
-    /// Deadline, and whether the thread must end.
-    state: Mutex<(Option<Instant>, bool)>,
-    changed: Condvar,
-}
+/// A search: its deadline, and its cancel flag.
+type Watched = (Instant, Arc<AtomicBool>);
 
 impl Watchdog {
     /// A watchdog with this time limit.
     fn new(limit: Duration) -> Self {
-        let shared = Arc::new(Shared {
-            cancel: AtomicBool::new(false),
-            state: Mutex::new((None, false)),
-            changed: Condvar::new(),
-        });
-        let watching = Arc::clone(&shared);
-        std::thread::spawn(move || watching.watch());
-        Self { limit, shared }
+        let (watched, searches) = mpsc::channel();
+        std::thread::spawn(move || watch(&searches));
+        Self { limit, watched }
     }
 
     /// A watchdog with a time limit in ms; `None` if the limit is too large to be represented.
@@ -37,39 +29,48 @@ impl Watchdog {
         Duration::try_from_secs_f64(ms * 1e-3).ok().map(Self::new)
     }
 
-    /// The cancel flag.
-    fn cancel(&self) -> &AtomicBool {
-        &self.shared.cancel
-    }
-
-    /// Starts the time limit now, and clears the flag.
-    fn arm(&self) {
-        self.set(Instant::now().checked_add(self.limit), false);
+    /// Starts the time limit of a search now; returns the search's cancel flag.
+    fn arm(&self) -> Arc<AtomicBool> {
+        let cancel = Arc::default();
+        let deadline = Instant::now().checked_add(self.limit);
+        // The thread lives as long as this sender.
+        let _ = self
+            .watched
+            .send(deadline.map(|deadline| (deadline, Arc::clone(&cancel))));
+        cancel
     }
 
     /// Stops the time limit.
     fn disarm(&self) {
-        self.set(None, false);
+        let _ = self.watched.send(None);
     }
+}
 
-    fn set(&self, deadline: Option<Instant>, end: bool) {
-        let mut state = self.shared.state.lock().unwrap_or_else(PoisonError::into_inner);
-        // Cleared under the lock, so that an old deadline cannot set it again.
-        self.shared.cancel.store(false, Ordering::Relaxed);
-        *state = (deadline, end);
-        self.shared.changed.notify_one();
+/// Watches one search after another until the watchdog is dropped.
+fn watch(searches: &Receiver<Option<Watched>>) {
+    let mut search: Option<Watched> = None;
+    loop {
+        let next = match &search {
+            Some((deadline, _)) => searches.recv_timeout(deadline.saturating_duration_since(Instant::now())),
+            None => searches.recv().map_err(|_| RecvTimeoutError::Disconnected),
+        };
+        match (next, search.take()) {
+            (Ok(next), _) => search = next,
+            (Err(RecvTimeoutError::Timeout), Some((_, cancel))) => cancel.store(true, Ordering::Relaxed),
+            (Err(_), _) => return,
+        }
     }
 }
 
 /// Runs a search within the time limit; returns its answer and its own time, µs. Without a time limit, a search draws as many samples as a
 /// motion worker's.
 pub(super) fn timed<T>(watchdog: Option<&Watchdog>, search: impl FnOnce(Budget<'_>) -> T) -> (T, f64) {
+    let cancel = watchdog.map(Watchdog::arm);
     let budget = Budget {
         max_samples: watchdog.map_or_else(|| PlanningSettings::default().max_samples, |_| u64::MAX),
-        cancel: watchdog.map(Watchdog::cancel),
+        cancel: cancel.as_deref(),
         ..Budget::UNLIMITED
     };
-    watchdog.inspect(|watchdog| watchdog.arm());
     let begin = Instant::now();
     let answer = search(budget);
     let micros = begin.elapsed().as_secs_f64() * 1e6;
@@ -77,39 +78,7 @@ pub(super) fn timed<T>(watchdog: Option<&Watchdog>, search: impl FnOnce(Budget<'
     (answer, micros)
 }
 
-impl Drop for Watchdog {
-    fn drop(&mut self) {
-        self.set(None, true);
-    }
-}
-
-impl Shared {
-    fn watch(&self) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        while !state.1 {
-            let left = state
-                .0
-                .map(|deadline| deadline.saturating_duration_since(Instant::now()));
-            if left == Some(Duration::ZERO) {
-                self.cancel.store(true, Ordering::Relaxed);
-                state.0 = None;
-                continue;
-            }
-            state = match left {
-                Some(left) => {
-                    self.changed
-                        .wait_timeout(state, left)
-                        .unwrap_or_else(PoisonError::into_inner)
-                        .0
-                }
-                None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
-            };
-        }
-    }
-}
-
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -121,18 +90,17 @@ mod tests {
     }
 
     #[test]
-    fn an_armed_watchdog_cancels_and_a_new_search_begins_uncancelled() {
+    fn an_armed_watchdog_cancels_each_search_at_its_limit() {
         let dog = Watchdog::new(Duration::from_millis(1));
-        dog.arm();
-        let end = Instant::now() + Duration::from_secs(10);
-        while !dog.cancel().load(Ordering::Relaxed) {
-            assert!(Instant::now() < end, "never cancelled");
-            std::thread::yield_now();
+        for _ in 0..2 {
+            let cancel = dog.arm();
+            let end = Instant::now() + Duration::from_secs(10);
+            while !cancel.load(Ordering::Relaxed) {
+                assert!(Instant::now() < end, "never cancelled");
+                std::thread::yield_now();
+            }
         }
         let slow = Watchdog::new(Duration::from_secs(3600));
-        slow.arm();
-        assert!(!slow.cancel().load(Ordering::Relaxed));
-        dog.disarm();
-        assert!(!dog.cancel().load(Ordering::Relaxed));
+        assert!(!slow.arm().load(Ordering::Relaxed));
     }
 }

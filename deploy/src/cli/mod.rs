@@ -1,4 +1,4 @@
-//! Command line. One enum lists the commands; each command's arguments and work live in its own module.
+//! Command line. One table lists the commands; each command's arguments and work live in its own module.
 
 #[cfg(test)]
 mod reference;
@@ -8,37 +8,11 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use zenav_observability::logging;
 
-use crate::exit_code;
 use crate::failure::Outcome;
 use crate::{
     annotations, batch, bench, completion, config, demo, gateway, goal, hosts, inspect, keys, launch, localise,
     lockstep, netem, operator, output, record, slam, wall_following,
 };
-
-/// Command groups, in the order of `--help`: clap groups options only.
-const GROUPS: [(&str, &[&str]); 7] = [
-    ("Run everything here", &["demo", "up", "run"]),
-    (
-        "Drive",
-        &["goal", "stop", "resume", "teleop", "do", "pose", "lease", "param"],
-    ),
-    ("Map", &["map", "place", "zone"]),
-    (
-        "Look",
-        &[
-            "gateway", "view", "ps", "logs", "topic", "ask", "schema", "bt", "doctor", "config",
-        ],
-    ),
-    (
-        "Run parts on several machines",
-        &["deploy", "keys", "router", "edge", "cloud", "sim", "netem"],
-    ),
-    ("Record", &["record", "replay", "diff", "report", "film"]),
-    (
-        "Offline",
-        &["plan", "smooth", "slam", "localise", "tune", "bench", "completions"],
-    ),
-];
 
 /// What is logged unless `RUST_LOG` says otherwise, by default, with `--verbose` and with `--quiet`; logs go to stderr.
 const LOGGED: &str = "info,zenoh=off,zenoh_link=off,zenoh_transport=off";
@@ -119,108 +93,135 @@ fn overview() -> String {
     let mut text = String::new();
     for (group, names) in GROUPS {
         text.push_str(&format!("{group}:\n"));
-        for name in names {
-            text.push_str(&format!("  {name:<12} {}\n", about(name).unwrap_or_default()));
+        for name in names.iter().map(|name| name.to_lowercase()) {
+            text.push_str(&format!("  {name:<12} {}\n", about(&name).unwrap_or_default()));
         }
         text.push('\n');
     }
     text + "`zenav COMMAND --help` tells more.\n\n" + FOOTER
 }
 
-#[derive(Debug, Subcommand)]
-enum Command {
-    /// Run a demo scenario on this machine over real Zenoh sessions and print a report
-    Demo(demo::DemoArgs),
-    /// Simulate one goal in lockstep without a network; bit-for-bit repeatable from a seed
-    Run(lockstep::RunArgs),
-    /// Run a deployment on this machine until Ctrl-C
-    Up(launch::UpArgs),
-    /// Run a router
-    Router(launch::RouterArgs),
-    /// Render the units, containers and manifests of a deployment of many hosts, and check it
-    Deploy(hosts::DeployArgs),
-    /// Proxy TCP connections over a bad link: delay, jitter, rate, stalls, cuts
-    Netem(netem::NetemArgs),
-    /// Make, issue, list and revoke the certificates of a fleet
-    Keys(keys::KeysArgs),
-    /// Run the robot side of a deployment
-    Edge(launch::EdgeArgs),
-    /// Run off-board services: mapping, motion, mission, or all
-    Cloud(launch::CloudArgs),
-    /// Serve the mission-control page: live map, goals, stop and teleop in a browser
-    Gateway(gateway::GatewayArgs),
-    /// Serve live bus traffic to Foxglove
-    View(record::ViewArgs),
-    /// Submit, list, watch and cancel goals
-    Goal(goal::GoalArgs),
-    /// Stop a robot; the stop latches until `zenav resume`
-    Stop(operator::StopArgs),
-    /// Release a stop; the robot waits for a new plan
-    Resume(operator::StopArgs),
-    /// Drive a robot from the keyboard
-    Teleop(operator::TeleopArgs),
-    /// Show a robot's pose, set it, or search for it in the map
-    Pose(operator::PoseArgs),
-    /// Show, acquire or release the command lease of a robot
-    Lease(operator::LeaseArgs),
-    /// Make a robot spin, drive straight, back up or wait
-    Do(operator::DoArgs),
-    /// List, read and set the parameters of a running robot
-    Param(operator::ParamArgs),
-    /// List, add and remove named places of a robot's map
-    Place(annotations::PlaceArgs),
-    /// List, add and remove keep-out and speed zones of a robot's map
-    Zone(annotations::ZoneArgs),
-    /// List, print, measure and publish topics
-    Topic(inspect::TopicArgs),
-    /// Show, save, load, store, convert and build maps
-    Map(inspect::MapArgs),
-    /// Send a request by hand and print the answer
-    Ask(inspect::AskArgs),
-    /// Print the JSON Schema of a message
-    Schema(inspect::SchemaArgs),
-    /// Validate, show, watch and simulate behaviour trees; list their nodes
-    Bt(inspect::BtArgs),
-    /// Record bus traffic into an MCAP file, which Foxglove opens
-    Record(record::RecordArgs),
-    /// Replay a record on a bus, or recompute its map and compare
-    Replay(record::ReplayArgs),
-    /// Compare two records: goals, path, time, clearance, latencies, keys
-    Diff(record::DiffArgs),
-    /// Report on a record in one page: map, path, speed, clearance, latencies, tree, events
-    Report(record::ReportArgs),
-    /// Render a film of a record
-    Film(record::FilmArgs),
-    /// List the parts of a running deployment: hosts, versions, roles, load, clocks
-    Ps(inspect::PsArgs),
-    /// Show the latest log lines of a running deployment's parts
-    Logs(inspect::LogsArgs),
-    /// Check a running deployment: what is wrong, and what to do
-    Doctor(inspect::DoctorArgs),
-    /// Plan a batch of queries offline
-    Plan(batch::PlanArgs),
-    /// Plan and smooth a batch of queries offline
-    Smooth(batch::SmoothArgs),
-    /// Map a log of scans and odometry, or solve and certify a pose graph, offline
-    Slam(slam::SlamArgs),
-    /// Localise a recorded robot in a map, offline; globally where no initial pose is given
-    Localise(localise::LocaliseArgs),
-    /// Tune gains in simulation; writes a robot file
-    Tune(wall_following::TuneArgs),
-    /// Draw a world, serve one to robots on several machines, measure the simulator
-    Sim(batch::SimArgs),
-    /// Measure the bus on this machine, or how well robots drive
-    Bench(bench::BenchArgs),
-    /// Print the configuration of a deployment
-    Config(config::ConfigArgs),
-    /// Print shell completions
-    #[command(
-        after_help = "Examples:\n  eval \"$(zenav completions bash)\"\n  zenav completions fish > ~/.config/fish/completions/zenav.fish"
-    )]
-    Completions {
-        /// Shell to complete for
-        shell: clap_complete::Shell,
-    },
+/// Declares the commands: in the groups and the order of `--help`, each with its help, its arguments, and the function of the same module
+/// that runs it.
+macro_rules! commands {
+    ($($group:literal { $($(#[doc = $doc:literal])+ $name:ident($module:ident::$args:ident) => $run:ident;)+ })+) => {
+        /// The names of the commands in their groups: clap groups options only.
+        const GROUPS: &[(&str, &[&str])] = &[$(($group, &[$(stringify!($name)),+])),+];
+
+        #[derive(Debug, Subcommand)]
+        enum Command {
+            $($($(#[doc = $doc])+ $name($module::$args),)+)+
+        }
+
+        fn run(command: Command) -> Outcome {
+            match command {
+                $($(Command::$name(args) => $module::$run(&args),)+)+
+            }
+        }
+    };
+}
+
+commands! {
+    "Run everything here" {
+        /// Run a demo scenario on this machine over real Zenoh sessions and print a report
+        Demo(demo::DemoArgs) => run;
+        /// Run a deployment on this machine until Ctrl-C
+        Up(launch::UpArgs) => up;
+        /// Simulate one goal in lockstep without a network; bit-for-bit repeatable from a seed
+        Run(lockstep::RunArgs) => run;
+    }
+    "Drive" {
+        /// Submit, list, watch and cancel goals
+        Goal(goal::GoalArgs) => run;
+        /// Stop a robot; the stop latches until `zenav resume`
+        Stop(operator::StopArgs) => stop;
+        /// Release a stop; the robot waits for a new plan
+        Resume(operator::StopArgs) => resume;
+        /// Drive a robot from the keyboard
+        Teleop(operator::TeleopArgs) => teleop;
+        /// Make a robot spin, drive straight, back up or wait
+        Do(operator::DoArgs) => maneuver;
+        /// Show a robot's pose, set it, or search for it in the map
+        Pose(operator::PoseArgs) => pose;
+        /// Show, acquire or release the command lease of a robot
+        Lease(operator::LeaseArgs) => lease;
+        /// List, read and set the parameters of a running robot
+        Param(operator::ParamArgs) => param;
+    }
+    "Map" {
+        /// Show, save, load, store, convert and build maps
+        Map(inspect::MapArgs) => map;
+        /// List, add and remove named places of a robot's map
+        Place(annotations::PlaceArgs) => place;
+        /// List, add and remove keep-out and speed zones of a robot's map
+        Zone(annotations::ZoneArgs) => zone;
+    }
+    "Look" {
+        /// Serve the mission-control page: live map, goals, stop and teleop in a browser
+        Gateway(gateway::GatewayArgs) => gateway;
+        /// Serve live bus traffic to Foxglove
+        View(record::ViewArgs) => view;
+        /// List the parts of a running deployment: hosts, versions, roles, load, clocks
+        Ps(inspect::PsArgs) => ps;
+        /// Show the latest log lines of a running deployment's parts
+        Logs(inspect::LogsArgs) => logs;
+        /// List, print, measure and publish topics
+        Topic(inspect::TopicArgs) => topic;
+        /// Send a request by hand and print the answer
+        Ask(inspect::AskArgs) => ask;
+        /// Print the JSON Schema of a message
+        Schema(inspect::SchemaArgs) => schema;
+        /// Validate, show, watch and simulate behaviour trees; list their nodes
+        Bt(inspect::BtArgs) => bt;
+        /// Check a running deployment: what is wrong, and what to do
+        Doctor(inspect::DoctorArgs) => doctor;
+        /// Print the configuration of a deployment
+        Config(config::ConfigArgs) => run;
+    }
+    "Run parts on several machines" {
+        /// Render the units, containers and manifests of a deployment of many hosts, and check it
+        Deploy(hosts::DeployArgs) => deploy;
+        /// Make, issue, list and revoke the certificates of a fleet
+        Keys(keys::KeysArgs) => run;
+        /// Run a router
+        Router(launch::RouterArgs) => router;
+        /// Run the robot side of a deployment
+        Edge(launch::EdgeArgs) => edge;
+        /// Run off-board services: mapping, motion, mission, or all
+        Cloud(launch::CloudArgs) => cloud;
+        /// Draw a world, serve one to robots on several machines, measure the simulator
+        Sim(batch::SimArgs) => sim;
+        /// Proxy TCP connections over a bad link: delay, jitter, rate, stalls, cuts
+        Netem(netem::NetemArgs) => run;
+    }
+    "Record" {
+        /// Record bus traffic into an MCAP file, which Foxglove opens
+        Record(record::RecordArgs) => record;
+        /// Replay a record on a bus, or recompute its map and compare
+        Replay(record::ReplayArgs) => replay;
+        /// Compare two records: goals, path, time, clearance, latencies, keys
+        Diff(record::DiffArgs) => diff;
+        /// Report on a record in one page: map, path, speed, clearance, latencies, tree, events
+        Report(record::ReportArgs) => report;
+        /// Render a film of a record
+        Film(record::FilmArgs) => film;
+    }
+    "Offline" {
+        /// Plan a batch of queries offline
+        Plan(batch::PlanArgs) => plan;
+        /// Plan and smooth a batch of queries offline
+        Smooth(batch::SmoothArgs) => smooth;
+        /// Map a log of scans and odometry, or solve and certify a pose graph, offline
+        Slam(slam::SlamArgs) => slam;
+        /// Localise a recorded robot in a map, offline; globally where no initial pose is given
+        Localise(localise::LocaliseArgs) => localise;
+        /// Tune gains in simulation; writes a robot file
+        Tune(wall_following::TuneArgs) => tune;
+        /// Measure the bus on this machine, or how well robots drive
+        Bench(bench::BenchArgs) => bench;
+        /// Print shell completions
+        Completions(completion::CompletionsArgs) => completions;
+    }
 }
 
 fn command() -> clap::Command {
@@ -280,77 +281,11 @@ const fn hosts_parts(command: &Command) -> bool {
     )
 }
 
-fn run(command: Command) -> Outcome {
-    match command {
-        Command::Demo(args) => demo::run(&args),
-        Command::Run(args) => lockstep::run(&args),
-        Command::Up(args) => launch::up(&args),
-        Command::Router(args) => launch::router(&args),
-        Command::Deploy(args) => hosts::deploy(&args),
-        Command::Netem(args) => netem::run(&args),
-        Command::Keys(args) => keys::run(&args),
-        Command::Edge(args) => launch::edge(&args),
-        Command::Cloud(args) => launch::cloud(&args),
-        Command::Gateway(args) => gateway::gateway(&args),
-        Command::View(args) => record::view(&args),
-        Command::Goal(args) => goal::run(&args),
-        Command::Stop(args) => operator::stop(&args),
-        Command::Resume(args) => operator::resume(&args),
-        Command::Teleop(args) => operator::teleop(&args),
-        Command::Pose(args) => operator::pose(&args),
-        Command::Lease(args) => operator::lease(&args),
-        Command::Do(args) => operator::maneuver(&args),
-        Command::Param(args) => operator::param(&args),
-        Command::Place(args) => annotations::place(&args),
-        Command::Zone(args) => annotations::zone(&args),
-        Command::Topic(args) => inspect::topic(&args),
-        Command::Map(args) => inspect::map(&args),
-        Command::Ask(args) => inspect::ask(&args),
-        Command::Schema(args) => inspect::schema(&args),
-        Command::Bt(args) => inspect::bt(&args),
-        Command::Record(args) => record::record(&args),
-        Command::Replay(args) => record::replay(&args),
-        Command::Diff(args) => record::diff(&args),
-        Command::Report(args) => record::report(&args),
-        Command::Film(args) => record::film(&args),
-        Command::Ps(args) => inspect::ps(&args),
-        Command::Logs(args) => inspect::logs(&args),
-        Command::Doctor(args) => inspect::doctor(&args),
-        Command::Plan(args) => batch::plan(&args),
-        Command::Smooth(args) => batch::smooth(&args),
-        Command::Slam(args) => slam::slam(&args),
-        Command::Localise(args) => localise::localise(&args),
-        Command::Tune(args) => wall_following::tune(&args),
-        Command::Sim(args) => batch::sim(&args),
-        Command::Bench(args) => bench::bench(&args),
-        Command::Config(args) => config::run(&args),
-        Command::Completions { shell } => {
-            // Written to memory first: a closed pipe must not cause a panic.
-            let mut script = Vec::new();
-            completion::register(shell, &mut script)?;
-            crate::output::line(String::from_utf8_lossy(&script).trim_end());
-            Ok(exit_code::OK)
-        }
-    }
-}
-
 #[cfg(test)]
-#[allow(clippy::expect_used, reason = "tests")]
 mod tests {
-    use std::collections::BTreeSet;
-
     use clap_complete::engine::{ArgValueCandidates, ArgValueCompleter};
 
     use super::*;
-
-    #[test]
-    fn every_command_stands_in_one_group_of_the_help() {
-        let all = command();
-        let known: BTreeSet<&str> = all.get_subcommands().map(clap::Command::get_name).collect();
-        let grouped: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
-        assert_eq!(grouped.iter().copied().collect::<BTreeSet<_>>(), known);
-        assert_eq!(grouped.len(), known.len());
-    }
 
     #[test]
     fn the_help_of_every_command_has_two_examples() {

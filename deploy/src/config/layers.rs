@@ -17,6 +17,7 @@ use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
 use crate::hosts;
+use crate::output::{listed, nearest};
 
 /// Origin of a value that no layer sets.
 const DEFAULT: &str = "default";
@@ -82,7 +83,7 @@ impl Layers {
             if is_ours(&format!("robots.{name}.model")) {
                 let parts = section.model.split('+').enumerate().map(|(index, part)| {
                     let shipped = if index == 0 { robot::SHIPPED } else { robot::OPTIONS };
-                    let is_shipped = shipped.iter().any(|(known, _)| *known == part);
+                    let is_shipped = files::names(shipped).any(|known| known == part);
                     if is_shipped { part.to_owned() } else { beside(part) }
                 });
                 section.model = parts.collect::<Vec<_>>().join("+");
@@ -147,10 +148,9 @@ impl Layers {
         // By way of the text again.
         let text = toml::to_string(&table).map_err(Failure::failed)?;
         let deployment: Deployment = toml::from_str(&text).map_err(|mut error: toml::de::Error| {
-            let variables: Vec<&str> = environment.values().map(String::as_str).collect();
             // Nobody wrote this text: the error names the key instead of the line.
             error.set_input(None);
-            Failure::usage(format!("{}: {}", variables.join(", "), told(&error)))
+            Failure::usage(format!("{}: {}", listed(environment.values()), told(&error)))
         })?;
         let layers = Self {
             deployment,
@@ -343,13 +343,9 @@ fn told(error: &toml::de::Error) -> String {
     let perhaps = names
         .next()
         .filter(|_| error.message().starts_with("unknown field"))
-        .and_then(|unknown| {
-            let slips = |known: &&str| strsim::osa_distance(unknown, known);
-            let known = names.min_by_key(slips).filter(|known| slips(known) <= SLIPS);
-            match unknown {
-                "guard" | "collision_monitor" => Some("robots.NAME.edge.collision_monitor"),
-                _ => known,
-            }
+        .and_then(|unknown| match unknown {
+            "guard" | "collision_monitor" => Some("robots.NAME.edge.collision_monitor"),
+            _ => nearest(unknown, names, SLIPS),
         });
     match perhaps {
         Some(known) => format!("{text}\nperhaps `{known}`"),
@@ -358,7 +354,6 @@ fn told(error: &toml::de::Error) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -372,6 +367,17 @@ mod tests {
         Layers::read(Some(&file), variables).map(Layers::with_paths)
     }
 
+    /// The failure of a text that cannot be read; its message has all of these parts.
+    #[track_caller]
+    fn refused(text: &str, variables: &[(&str, &str)], told: &[&str]) -> Failure {
+        let failure = read(text, variables).map(|_| ()).unwrap_err();
+        assert_eq!(failure.code, exit_code::USAGE);
+        for part in told {
+            assert!(failure.message.contains(part), "{part}: {failure}");
+        }
+        failure
+    }
+
     #[test]
     fn without_a_file_it_is_one_robot_on_this_machine() {
         let layers = Layers::read(None, std::iter::empty()).unwrap();
@@ -382,11 +388,8 @@ mod tests {
 
     #[test]
     fn an_unknown_key_is_told_with_its_line_and_the_one_that_was_meant() {
-        let failure = read("[mapping]\nresolutoin = 0.1\n", &[]).map(|_| ()).unwrap_err();
-        assert_eq!(failure.code, exit_code::USAGE);
-        for part in ["mine.toml", "line 2", "^^^^", "perhaps `resolution`"] {
-            assert!(failure.message.contains(part), "{part}: {failure}");
-        }
+        let told = ["mine.toml", "line 2", "^^^^", "perhaps `resolution`"];
+        refused("[mapping]\nresolutoin = 0.1\n", &[], &told);
     }
 
     #[test]
@@ -399,15 +402,10 @@ mod tests {
             ("enabled = 1", "expected true or false"),
             ("resolution = true", "expected a number"),
         ] {
-            let failure = read(&format!("[mapping]\nlive = true\n{line}\n"), &[])
-                .map(|_| ())
-                .unwrap_err();
-            for part in ["mine.toml", "line 3", line, told] {
-                assert!(failure.message.contains(part), "{part}: {failure}");
-            }
+            let text = format!("[mapping]\nlive = true\n{line}\n");
+            refused(&text, &[], &["mine.toml", "line 3", line, told]);
         }
-        let failure = read("", &[("ZENAV_MAPPING__POSES", "gps")]).map(|_| ()).unwrap_err();
-        assert!(failure.message.contains("`mapping.poses`"), "{failure}");
+        refused("", &[("ZENAV_MAPPING__POSES", "gps")], &["`mapping.poses`"]);
     }
 
     #[test]
@@ -419,45 +417,21 @@ mod tests {
         let text = "[planning]\nworkers = 2\n[planning.clearance]\nweight = 1\n[robots.a.edge.collision_monitor]\n";
         let planning = read(text, &[]).unwrap().deployment.planning;
         assert_eq!((planning.run.workers, planning.settings.clearance.weight), (2, 1.0));
-        let failure = read("[guard]\n", &[]).map(|_| ()).unwrap_err();
-        assert!(
-            failure.message.contains("perhaps `robots.NAME.edge.collision_monitor`"),
-            "{failure}"
-        );
-        let failure = read("[mapping.sensor_model]\nhit = 0.1\n", &[])
-            .map(|_| ())
-            .unwrap_err();
-        assert!(
-            failure
-                .message
-                .contains("mine.toml:2: `mapping.sensor_model.hit` is 0.1"),
-            "{failure}"
-        );
+        refused("[guard]\n", &[], &["perhaps `robots.NAME.edge.collision_monitor`"]);
+        let told = ["mine.toml:2: `mapping.sensor_model.hit` is 0.1"];
+        refused("[mapping.sensor_model]\nhit = 0.1\n", &[], &told);
     }
 
     #[test]
     fn a_value_out_of_bounds_is_told_with_its_line_or_its_variable() {
-        let text = "[mapping]\nresolution = 0.001\n";
-        let failure = read(text, &[]).map(|_| ()).unwrap_err();
-        assert!(
-            failure
-                .message
-                .ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected 0.005 to 10 m"),
-            "{failure}"
-        );
-        let text = "[robots.a]\nstart = { x = 1, y = 2, yaw = 90 }\n";
-        let failure = read(text, &[]).map(|_| ()).unwrap_err();
-        assert!(
-            failure
-                .message
-                .contains("mine.toml:2: `robots.a.start.yaw` is 90: expected radians within a full turn"),
-            "{failure}"
-        );
-        let failure = read("", &[("ZENAV_SIMULATION__SPEED", "-1")]).map(|_| ()).unwrap_err();
-        assert!(
-            failure.message.starts_with("environment ZENAV_SIMULATION__SPEED: "),
-            "{failure}"
-        );
+        let told = "mine.toml:2: `mapping.resolution` is 0.001: expected 0.005 to 10 m";
+        let failure = refused("[mapping]\nresolution = 0.001\n", &[], &[told]);
+        assert!(failure.message.ends_with(told), "{failure}");
+        let told = "mine.toml:2: `robots.a.start.yaw` is 90: expected radians within a full turn";
+        refused("[robots.a]\nstart = { x = 1, y = 2, yaw = 90 }\n", &[], &[told]);
+        let told = "environment ZENAV_SIMULATION__SPEED: ";
+        let failure = refused("", &[("ZENAV_SIMULATION__SPEED", "-1")], &[told]);
+        assert!(failure.message.starts_with(told), "{failure}");
         assert!(read("", &[("ZENAV_SIMULATION__SPED", "1")]).is_err());
         assert!(
             read("", &[("ZENAV_IMAGE", "zenav:next")]).is_ok(),
@@ -539,21 +513,19 @@ mod tests {
 
     #[test]
     fn a_name_that_nobody_may_have_is_told_with_its_line() {
-        let failure = read("[robots.a]\n[robots.\"b/c\"]\n", &[]).map(|_| ()).unwrap_err();
-        assert_eq!(failure.code, exit_code::USAGE);
-        assert!(failure.message.contains("mine.toml:2: [robots.b/c]"), "{failure}");
-        let failure = read("[mission]\nholder = \"a b\"\n", &[]).map(|_| ()).unwrap_err();
-        assert!(
-            failure.message.contains("mine.toml:2: `a b` is not a valid name"),
-            "{failure}"
-        );
-        let failure = read("[groups]\na = [\"tiago\"]\nall = [\"x\"]\n", &[])
-            .map(|_| ())
-            .unwrap_err();
-        assert!(
-            failure.message.contains("mine.toml:3: [groups] all: no robot `x`"),
-            "{failure}"
-        );
+        for (text, told) in [
+            ("[robots.a]\n[robots.\"b/c\"]\n", "mine.toml:2: [robots.b/c]"),
+            (
+                "[mission]\nholder = \"a b\"\n",
+                "mine.toml:2: `a b` is not a valid name",
+            ),
+            (
+                "[groups]\na = [\"tiago\"]\nall = [\"x\"]\n",
+                "mine.toml:3: [groups] all: no robot `x`",
+            ),
+        ] {
+            refused(text, &[], &[told]);
+        }
     }
 
     #[test]
@@ -588,8 +560,7 @@ mod tests {
                 "`router.scouting` is set, and `router.enabled` is false: expected a router",
             ),
         ] {
-            let failure = read(text, &[]).map(|_| ()).unwrap_err();
-            assert!(failure.message.contains(&format!("mine.toml:2: {told}")), "{failure}");
+            refused(text, &[], &[&format!("mine.toml:2: {told}")]);
         }
     }
 

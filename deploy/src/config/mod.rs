@@ -35,8 +35,10 @@ use zenav_protocol::settings::Settings as _;
 use zenav_slam::SlamSettings;
 use zenav_smoothing::SmoothingSettings;
 
-use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
+use crate::arguments;
+use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 use crate::failure::Failure;
+use crate::output::listed;
 
 pub use hosts::{HostSection, Role};
 pub(crate) use layers::Layers;
@@ -204,6 +206,14 @@ settings! {
     }
 }
 
+/// A value of a key that cannot be.
+fn wrong(key: impl Into<String>, problem: impl Into<String>) -> OutOfBounds {
+    OutOfBounds {
+        key: key.into(),
+        problem: problem.into(),
+    }
+}
+
 fn one_robot() -> BTreeMap<String, RobotSection> {
     let robot = RobotSection {
         listen: ROBOT_ENDPOINT.to_owned(),
@@ -221,40 +231,28 @@ impl Deployment {
                 .and_then(|()| check_all(&[("start.yaw", start.yaw, Expected::Angle)]))
                 .map_err(|error| error.within(name).within("robots"))?;
             if robot.attach && robot.driver {
-                return Err(OutOfBounds {
-                    key: format!("robots.{name}.driver"),
-                    problem: "is set, and so is `attach`: expected one body".to_owned(),
-                });
+                let key = format!("robots.{name}.driver");
+                return Err(wrong(key, "is set, and so is `attach`: expected one body"));
             }
         }
         let robots = self.robots.iter();
-        let endpoints = robots
-            .map(|(name, robot)| (format!("robots.{name}.listen"), &robot.listen))
-            .chain(
-                self.router
-                    .listen
-                    .iter()
-                    .map(|endpoint| ("router.listen".to_owned(), endpoint)),
-            )
-            .chain(
-                self.router
-                    .connect
-                    .iter()
-                    .map(|endpoint| ("router.connect".to_owned(), endpoint)),
-            );
+        let of_robots = robots.map(|(name, robot)| (format!("robots.{name}.listen"), &robot.listen));
+        let RouterSection { listen, connect, .. } = &self.router;
+        let of_router = [("router.listen", listen), ("router.connect", connect)];
+        let of_router = of_router
+            .into_iter()
+            .flat_map(|(key, all)| all.iter().map(move |endpoint| (key.to_owned(), endpoint)));
+        let endpoints = of_robots.chain(of_router);
         let addresses = [
             ("router.rest", &self.router.rest),
             ("gateway.listen", &self.gateway.settings.listen),
         ];
         let addresses = addresses.into_iter().filter(|(_, address)| !address.is_empty());
         let all = endpoints
-            .map(|(key, text)| (key, text, connect::endpoint(text)))
-            .chain(addresses.map(|(key, text)| (key.to_owned(), text, connect::address(text))));
+            .map(|(key, text)| (key, text, arguments::endpoint(text)))
+            .chain(addresses.map(|(key, text)| (key.to_owned(), text, arguments::address(text))));
         for (key, text, read) in all {
-            read.map_err(|expected| OutOfBounds {
-                key,
-                problem: format!("is `{text}`: {expected}"),
-            })?;
+            read.map_err(|expected| wrong(key, format!("is `{text}`: {expected}")))?;
         }
         // On hosts of a deployment routers run where `runs` says.
         if !self.router.enabled && self.hosts.is_empty() {
@@ -264,26 +262,21 @@ impl Deployment {
                 ("router.scouting", self.router.scouting),
             ];
             if let Some((key, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked) {
-                return Err(OutOfBounds {
-                    key: key.to_owned(),
-                    problem: "is set, and `router.enabled` is false: expected a router, or none of its settings"
-                        .to_owned(),
-                });
+                let problem = "is set, and `router.enabled` is false: expected a router, or none of its settings";
+                return Err(wrong(key, problem));
             }
         }
         let planner = &self.planning.run.planner;
         if planner.parse::<Planner>().is_err() {
-            let known: Vec<&str> = Planner::ALL.iter().map(|(name, _)| *name).collect();
-            return Err(OutOfBounds {
-                key: "planning.planner".to_owned(),
-                problem: format!("is `{planner}`: expected one of {}", known.join(", ")),
-            });
+            let known = listed(Planner::ALL.iter().map(|(name, _)| name));
+            return Err(wrong(
+                "planning.planner",
+                format!("is `{planner}`: expected one of {known}"),
+            ));
         }
         if self.robots.is_empty() {
-            return Err(OutOfBounds {
-                key: "robots".to_owned(),
-                problem: "names no robot: expected at least one section [robots.NAME]".to_owned(),
-            });
+            let problem = "names no robot: expected at least one section [robots.NAME]";
+            return Err(wrong("robots", problem));
         }
         Ok(())
     }
@@ -363,13 +356,10 @@ impl Deployment {
     fn has_robots(&self, name: &str, robots: &[String]) -> Result<(), Failure> {
         match robots.iter().find(|robot| !self.robots.contains_key(*robot)) {
             None => Ok(()),
-            Some(robot) => {
-                let known: Vec<&str> = self.robots.keys().map(String::as_str).collect();
-                Err(Failure::usage(format!(
-                    "[groups] {name}: no robot `{robot}` under [robots]: there are {}",
-                    known.join(", ")
-                )))
-            }
+            Some(robot) => Err(Failure::usage(format!(
+                "[groups] {name}: no robot `{robot}` under [robots]: there are {}",
+                listed(self.robots.keys())
+            ))),
         }
     }
 }

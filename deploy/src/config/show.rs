@@ -61,8 +61,8 @@ pub fn run(args: &ConfigArgs) -> Outcome {
     let layers = Layers::load_as_written(file.as_deref())?;
     if *origin {
         values(*output, &origins(&layers)?, |rows| {
-            let cells: Vec<Vec<String>> = rows.iter().map(Origin::cells).collect();
-            table(&["KEY", "VALUE", "UNIT", "DEFAULT", "BOUNDS", "ORIGIN"], &cells)
+            let header = ["KEY", "VALUE", "UNIT", "DEFAULT", "BOUNDS", "ORIGIN"];
+            table(&header, rows.iter().map(Origin::cells))
         })?;
     } else {
         // The deployment as a file that reproduces it.
@@ -133,12 +133,12 @@ fn pointer(key: &str) -> String {
 }
 
 impl Origin {
-    fn cells(&self) -> Vec<String> {
+    fn cells(&self) -> [String; 6] {
         let shown = |value: &Value| match value {
             Value::Null => "-".to_owned(),
             value => value.to_string(),
         };
-        vec![
+        [
             self.key.clone(),
             shown(&self.value),
             self.unit.to_owned(),
@@ -150,7 +150,6 @@ impl Origin {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::robot::ControllerGains;
     use zenav_protocol::wall_following::WallFollowing;

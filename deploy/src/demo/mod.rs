@@ -5,7 +5,7 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `kitchen`, `online`, `slam`, `kidnapped` | the scenarios (add a new one as a `Script` beside them) |
+//! | `script` | the scenarios |
 //! | `wall_follow` | how does a robot follow walls on its own, without a cloud? |
 //! | `watch` | how did the run go, from a client's and from the referee's view? |
 //! | `refusals` | are unreachable goals refused, and with which reasons? |
@@ -13,33 +13,30 @@
 //! | `album` | what did the robot know, plan and drive? pictures |
 
 mod album;
-mod kidnapped;
-mod kitchen;
-mod online;
 mod recorded;
 mod refusals;
-mod slam;
+mod script;
 mod wall_follow;
 mod watch;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use indicatif::ProgressBar;
 use zenav_cloud::mapping::PoseSource;
 use zenav_mapping::write_map;
 use zenav_planning::Planner;
 use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, Security, Shutdown};
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
 use zenav_sim::World;
 
+use crate::arguments;
 use crate::completion;
 use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment, RobotSection};
-use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -53,81 +50,30 @@ use crate::report::{DemoReport, ScenarioOutcome};
 use crate::tasks;
 use album::Album;
 use recorded::{Played, Recorder};
-use refusals::Impossible;
+use script::{Scenario, Script};
 use watch::Watch;
 
 /// Time for the parts to start, wall time.
 const START_UP: Duration = Duration::from_secs(20);
 
-/// Definition of a scenario.
-#[derive(Clone, Copy, Debug)]
-struct Script {
-    /// Its name.
-    name: &'static str,
-    /// Its tree.
-    tree: &'static str,
-    /// Source of the poses for mapping. With any source but the robot itself, the robot has neither GPS nor compass.
-    poses: PoseSource,
-    /// Kidnapping of the robot.
-    carried: Option<Carried>,
-    /// A shipped world.
-    world: &'static str,
-    /// Name of the robot, and its shipped model.
-    robot: (&'static str, &'static str),
-    /// Planner; `None` for the deployment's own.
-    planner: Option<&'static str>,
-    /// Time limit of the scenario, simulated, s.
-    time_limit: f64,
-    /// Whether a map from an earlier run is used.
-    uses_stored_map: bool,
-    /// Goals that must be refused after the first drive has started.
-    impossible: &'static [Impossible],
-    /// Whether a picture is drawn at the end of every drive.
-    drawn: bool,
-    /// Whether the robot follows walls on its own: no cloud and no goal.
-    alone: bool,
+/// What a scenario is played with.
+struct Stage<'a> {
+    args: &'a DemoArgs,
+    script: Script,
+    deployment: &'a Deployment,
+    world: &'a World,
+    /// The router's endpoint.
+    endpoint: &'a str,
+    /// Set by Ctrl-C.
+    stop: &'a Shutdown,
 }
 
-/// Kidnapping of the robot.
-#[derive(Clone, Copy, Debug)]
-struct Carried {
-    /// After this driven distance, m.
-    after: f64,
-    /// New pose.
-    to: Pose2,
-}
-
-/// Scenarios.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Scenario {
-    /// Map a kitchen by SLAM, then drive to its corner and to the sink; with a map of an earlier run in --out, localise in that map
-    /// instead
-    Kitchen,
-    /// Follow the walls of a room for ten minutes, without a cloud
-    #[value(name = "wall_follow", alias = "wall-follow")]
-    WallFollow,
-    /// Drive to four rooms of an unknown house, planning while the map grows
-    Online,
-    /// Like kitchen, but map anew in every run: a map in --out is never used
-    Slam,
-    /// Carry a robot away: it finds itself in its map again
-    Kidnapped,
-}
-
-impl Scenario {
-    const fn script(self) -> Script {
-        match self {
-            Self::Kitchen => kitchen::SCRIPT,
-            Self::WallFollow => wall_follow::SCRIPT,
-            Self::Online => online::SCRIPT,
-            Self::Slam => slam::SCRIPT,
-            Self::Kidnapped => kidnapped::SCRIPT,
-        }
-    }
-
-    /// Whether the scenario's robot may have GPS and a compass.
-    const fn has_gps(self) -> bool {
-        matches!(self, Self::Kitchen | Self::Online)
+impl Stage<'_> {
+    /// The deployment's robot.
+    fn robot(&self) -> Result<(Id, &RobotSection), Failure> {
+        let robots = self.deployment.robot_ids()?;
+        let robot = robots.into_iter().next();
+        robot.ok_or_else(|| Failure::failed("the deployment has no robot"))
     }
 }
 
@@ -141,10 +87,10 @@ pub struct DemoArgs {
     #[arg(value_enum, default_value = "kitchen")]
     scenario: Scenario,
     /// Simulated time relative to wall time
-    #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
+    #[arg(long, default_value_t = 1.0, value_parser = arguments::speed)]
     speed: f64,
     /// Seed of all noise
-    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
+    #[arg(long, default_value_t = 1, value_parser = arguments::whole::<u64>)]
     seed: u64,
     /// Give the robot GPS and a compass, and map with its own poses (kitchen and online)
     #[arg(long)]
@@ -324,10 +270,18 @@ async fn scenario(args: &DemoArgs) -> Result<Played, Failure> {
         let mut parts = Parts::default();
         // Started before the parts, so that their first messages are recorded.
         let recorder = Recorder::begin(args, &script, &endpoint, &state).await?;
+        let stage = Stage {
+            args,
+            script,
+            deployment: &deployment,
+            world: &world,
+            endpoint: &endpoint,
+            stop: &stop,
+        };
         let played = if script.alone {
-            wall_follow::play(args, &script, &deployment, &world, &mut parts, &endpoint, &stop).await
+            wall_follow::play(&stage, &mut parts).await
         } else {
-            play(args, &script, &deployment, &world, &mut parts, &endpoint, &stop).await
+            play(&stage, &mut parts).await
         };
         // Without the rendering of page and film.
         let played = played.map(|report| DemoReport {
@@ -352,27 +306,24 @@ async fn scenario(args: &DemoArgs) -> Result<Played, Failure> {
     Ok(played)
 }
 
-async fn play(
-    args: &DemoArgs,
-    script: &Script,
-    deployment: &Deployment,
-    world: &World,
-    parts: &mut Parts,
-    endpoint: &str,
-    stop: &Shutdown,
-) -> Result<DemoReport, Failure> {
-    let robots = deployment.robot_ids()?;
-    let (id, _) = robots
-        .first()
-        .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
+async fn play(stage: &Stage<'_>, parts: &mut Parts) -> Result<DemoReport, Failure> {
+    let Stage {
+        args,
+        script,
+        deployment,
+        world,
+        stop,
+        ..
+    } = *stage;
+    let (id, _) = stage.robot()?;
     let referee = parts.edge(deployment, world)?;
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let page = parts.gateway(deployment, world).await?;
-    let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
-    let mut watch = Watch::new(&bus, id, referee, world)?;
+    let bus = Bus::open(BusConfig::command("demo", stage.endpoint)).await?;
+    let mut watch = Watch::new(&bus, &id, referee, world)?;
     watch.carried = script.carried.map(|carried| (carried, world.clone()));
     if script.drawn {
-        watch.album = Some(Album::new(&bus, id, &args.folder(), album::places(world))?);
+        watch.album = Some(Album::new(&bus, &id, &args.folder(), album::places(world))?);
     }
     let request = GoalRequest {
         id: Some(format!("{}-{}", script.name, args.seed)),
@@ -385,7 +336,7 @@ async fn play(
     let reply = tokio::select! {
         reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
-        () = stop.wait() => return Err(interrupted()),
+        () = stop.wait() => return Err(Failure::interrupted()),
     };
     if let Some(page) = &page {
         gateway::tell(page);
@@ -410,7 +361,7 @@ async fn play(
             if let Some(bar) = &watch.bar {
                 bar.finish_and_clear();
             }
-            return Err(interrupted());
+            return Err(Failure::interrupted());
         }
     };
     drop(drawing);
@@ -423,7 +374,7 @@ async fn play(
     };
     let refusals = if end.is_some() { Some(asking.await) } else { None };
     bus.close().await;
-    let mut report = watch.report(script, args, end);
+    let mut report = watch.report(&script, args, end);
     report.files = files;
     match refusals {
         Some(Ok(Ok(refused))) => report.refused = refused,
@@ -434,18 +385,12 @@ async fn play(
     Ok(report)
 }
 
-/// The failure of a demonstration that Ctrl-C has ended.
-fn interrupted() -> Failure {
-    Failure::new(exit_code::INTERRUPTED, "interrupted")
-}
-
 /// A live display, if wanted and possible.
 fn live_display(args: &DemoArgs) -> Option<ProgressBar> {
     if args.no_ui { None } else { spinner() }
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
 
-use super::{DemoArgs, Script, interrupted};
+use super::DemoArgs;
+use super::script::Script;
 use crate::failure::Failure;
 use crate::record::{self, RecordOptions, Recording};
 use crate::report::DemoReport;
@@ -114,7 +115,7 @@ impl Made {
         if let Some(film) = film {
             tracing::info!("rendering {}", film.display());
             let goes_on = || match stop.is_set() {
-                true => Err(interrupted()),
+                true => Err(Failure::interrupted()),
                 false => Ok(()),
             };
             record::write_film(record, None, film, goes_on)?;
@@ -125,7 +126,6 @@ impl Made {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::{cli, exit_code, lockstep};

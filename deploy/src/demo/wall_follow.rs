@@ -2,46 +2,28 @@
 //! without a cloud and without a goal.
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
-use zenav_cloud::mapping::PoseSource;
 use zenav_edge::Referee;
-use zenav_protocol::bus::{Bus, BusConfig, Latest, Shutdown, Subscription};
+use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{EdgeState, Event, EventKind, Mode, WallFollowerState};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::World;
 
-use super::{DemoArgs, Script, interrupted, live_display};
+use super::script::Script;
+use super::{DemoArgs, Stage, live_display};
 use crate::batch::backdrop;
 use crate::components::Parts;
-use crate::config::Deployment;
 use crate::drawing::canvas::Color;
 use crate::drawing::plane::Mark;
-use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
 use crate::gateway;
 use crate::report::{DemoReport, WallReport};
 use crate::wall_following::score::Errors;
-
-pub(super) const SCRIPT: Script = Script {
-    name: "wall_follow",
-    tree: "wall_follow",
-    poses: PoseSource::Edge,
-    carried: None,
-    world: "wall_follow",
-    robot: ("neato", "neato"),
-    planner: None,
-    time_limit: 600.0,
-    uses_stored_map: false,
-    impossible: &[],
-    alone: true,
-    drawn: false,
-};
 
 /// Simulated time between two samples of the distance, s.
 const SAMPLE: f64 = 0.1;
@@ -87,20 +69,17 @@ struct Watch<'a> {
 ///
 /// # Errors
 /// A part that failed, or Ctrl-C.
-pub(super) async fn play(
-    args: &DemoArgs,
-    script: &Script,
-    deployment: &Deployment,
-    world: &World,
-    parts: &mut Parts,
-    endpoint: &str,
-    stop: &Shutdown,
-) -> Result<DemoReport, Failure> {
-    let robots = deployment.robot_ids()?;
-    let (id, section) = robots
-        .first()
-        .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
-    let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
+pub(super) async fn play(stage: &Stage<'_>, parts: &mut Parts) -> Result<DemoReport, Failure> {
+    let Stage {
+        args,
+        script,
+        deployment,
+        world,
+        stop,
+        ..
+    } = *stage;
+    let (id, section) = stage.robot()?;
+    let bus = Bus::open(BusConfig::command("demo", stage.endpoint)).await?;
     let robot = &[id.as_str()];
     let mut watch = Watch {
         world,
@@ -124,13 +103,13 @@ pub(super) async fn play(
     }
     tokio::select! {
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
-        () = stop.wait() => return Err(interrupted()),
+        () = stop.wait() => return Err(Failure::interrupted()),
         result = watch.until_end(args) => result?,
     }
     bus.close().await;
     write_log(args, &watch.log)?;
     draw(args, world, &watch.driven)?;
-    let mut report = watch.report(script, args);
+    let mut report = watch.report(&script, args);
     report.files = ["events.ndjson", "path.png"]
         .map(|name| args.folder().join(name))
         .into();
@@ -139,14 +118,9 @@ pub(super) async fn play(
 
 /// Writes the event log, one event per line.
 fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure> {
-    let file = args.folder().join("events.ndjson");
-    let failed = |error: std::io::Error| Failure::failed(format!("{}: {error}", file.display()));
-    let mut out = std::io::BufWriter::new(std::fs::File::create(&file).map_err(failed)?);
-    for event in log.values() {
-        let line = serde_json::to_string(event).map_err(Failure::failed)?;
-        writeln!(out, "{line}").map_err(failed)?;
-    }
-    out.flush().map_err(failed)
+    let lines: Result<Vec<String>, _> = log.values().map(serde_json::to_string).collect();
+    let lines = lines.map_err(Failure::failed)?.into_iter().map(|line| line + "\n");
+    files::write(&args.folder().join("events.ndjson"), lines.collect::<String>())
 }
 
 /// Draws the room and the driven path.
@@ -198,7 +172,7 @@ impl Watch<'_> {
                         told = Instant::now();
                     }
                     if self.state.is_none() && began.elapsed() > PATIENCE {
-                        return Err(Failure::new(exit_code::TIMEOUT, "the robot does not tell its state"));
+                        return Err(Failure::timeout("the robot does not tell its state"));
                     }
                 }
             }

@@ -14,9 +14,12 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::{Truth, World};
 
+use super::DemoArgs;
 use super::album::Album;
-use super::{DemoArgs, Script};
+use super::script::{Carried, Script};
+use crate::drawing::plane::points_of;
 use crate::failure::Failure;
+use crate::output::piece;
 use crate::report::{DemoReport, GoalReport, Latency, Percentiles, REACHED, per_metre};
 
 /// Sampling period of the truth, wall time.
@@ -66,7 +69,7 @@ pub(super) struct Watch {
     /// The plan in force.
     planned: Vec<Point2<f64>>,
     /// Kidnapping still to come, and its world.
-    pub carried: Option<(super::Carried, World)>,
+    pub carried: Option<(Carried, World)>,
     /// Live display, if there is one.
     pub bar: Option<ProgressBar>,
     /// Album of pictures, if wanted.
@@ -154,7 +157,7 @@ impl Watch {
             now: self.referee.now(),
             truth: self.referee.truth(),
         };
-        let is_due = |(carried, _): &mut (super::Carried, World)| sample.truth.length >= carried.after;
+        let is_due = |(carried, _): &mut (Carried, World)| sample.truth.length >= carried.after;
         if let Some((carried, world)) = self.carried.take_if(is_due) {
             match self.referee.carry(&world, carried.to) {
                 Ok(()) => self.narrate("somebody carries the robot away"),
@@ -174,19 +177,12 @@ impl Watch {
 
     /// Takes in a new plan, and measures the time since the arrival of the scan or pose that it is based on.
     fn see_plan(&mut self, plan: &Plan) {
-        if self.seen_motion == Some(plan.trajectory_id) || (plan.trajectory.is_empty() && plan.waypoints.is_empty()) {
+        let points = points_of(plan);
+        if points.is_empty() || self.seen_motion.replace(plan.trajectory_id) == Some(plan.trajectory_id) {
             return;
         }
-        self.seen_motion = Some(plan.trajectory_id);
         self.plans_seen += 1;
-        self.planned = if plan.trajectory.is_empty() {
-            plan.waypoints.clone()
-        } else {
-            plan.trajectory
-                .iter()
-                .map(|point| Point2::new(point.x, point.y))
-                .collect()
-        };
+        self.planned = points;
         // The newest scan in the map revision that the plan was checked on; if the map is not growing, the pose that the plan starts from.
         let scan = self
             .revisions
@@ -250,14 +246,10 @@ impl Watch {
             "t {:5.1} s  {}  {}{}",
             self.referee.now().as_secs(),
             if step.is_empty() { "starting" } else { &step },
-            goal.feedback
-                .distance_left
-                .map(|left| format!("{left:.1} m left  "))
-                .unwrap_or_default(),
-            self.state
-                .as_ref()
-                .map(|state| format!("{:.2} m/s  {:?}  {:?}", state.velocity.v, state.mode, state.link))
-                .unwrap_or_default()
+            piece(goal.feedback.distance_left, |left| format!("{left:.1} m left  ")),
+            piece(self.state.as_ref(), |state| {
+                format!("{:.2} m/s  {:?}  {:?}", state.velocity.v, state.mode, state.link)
+            })
         );
         if let Some(bar) = &self.bar {
             bar.set_message(line);

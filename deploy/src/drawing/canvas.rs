@@ -298,7 +298,6 @@ fn path(points: &[Pixel], closed: bool) -> Option<Path> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::{Plan, Scan};
 use zenav_protocol::robot::Footprint;
 
 use super::canvas::{Anchor, Canvas, Color, Face, GREY, INK, Pixel, WHITE, text_width};
@@ -323,6 +324,22 @@ pub fn around(points: impl Iterator<Item = Point2<f64>>, margin: f64) -> Option<
     Some((low - margin, high + margin))
 }
 
+/// The points of a plan, map frame, m: those of its trajectory, or, in a plan without a time law, its waypoints.
+#[must_use]
+pub fn points_of(plan: &Plan) -> Vec<Point2<f64>> {
+    match &*plan.trajectory {
+        [] => plan.waypoints.clone(),
+        trajectory => trajectory.iter().map(|point| point.position()).collect(),
+    }
+}
+
+/// The returns of a scan, map frame, m.
+#[must_use]
+pub fn returns_of(scan: &Scan) -> Vec<Point2<f64>> {
+    let laser = scan.map_from_laser();
+    scan.returns().map(|point| laser.transform_point(point)).collect()
+}
+
 /// A footprint as a polygon, base frame, m.
 #[must_use]
 pub fn outline(footprint: &Footprint) -> Vec<Point2<f64>> {
@@ -343,7 +360,6 @@ pub fn circle(center: Point2<f64>, radius: f64) -> Vec<Point2<f64>> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::grid::GridSpec;
 
@@ -367,21 +383,14 @@ mod tests {
     fn a_wall_of_one_cell_is_drawn_at_every_scale() {
         let spec = GridSpec {
             origin: Point2::new(-3.0, 2.0),
-            resolution: 0.05,
-            width: 1000,
-            height: 40,
+            ..zenav_fixtures::spec(1000, 40, 0.05)
         };
-        let mut map = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
         let walls: Vec<u32> = (0..30).map(|nth| 5 + 33 * nth).collect();
-        for y in 0..spec.height {
-            for x in 0..spec.width {
-                map[Cell::new(x, y)] = if walls.contains(&x) {
-                    Occupancy::OCCUPIED
-                } else {
-                    Occupancy::FREE
-                };
-            }
-        }
+        let cells: Vec<_> = walls
+            .iter()
+            .flat_map(|x| (0..spec.height).map(move |y| (*x, y)))
+            .collect();
+        let map = zenav_fixtures::map_with_occupied(spec, &cells);
         for pixels in [150, 480, 999, 1000, 1001, 3000] {
             let mut plane = Plane::new(spec.origin, spec.upper(), pixels, "", UNKNOWN).unwrap();
             plane.map(&map);

@@ -132,22 +132,17 @@ impl<'a> Scene<'a> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::grid::{Cell, GridSpec, Occupancy};
+    use zenav_protocol::grid::GridSpec;
 
     use super::*;
 
     fn map() -> OccupancyGrid {
         let spec = GridSpec {
             origin: Point2::new(-1.0, -1.0),
-            resolution: 0.1,
-            width: 40,
-            height: 40,
+            ..zenav_fixtures::spec(40, 40, 0.1)
         };
-        let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
-        map[Cell::new(39, 0)] = Occupancy::OCCUPIED;
-        map
+        zenav_fixtures::map_with_occupied(spec, &[(39, 0)])
     }
 
     #[test]

@@ -8,6 +8,8 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 
+use crate::output::{hundredths, piece};
+
 /// Drawing options.
 #[derive(Clone, Copy, Debug)]
 pub struct Screen {
@@ -21,15 +23,25 @@ pub struct Screen {
 
 impl Screen {
     /// The terminal on stdout, with some rows left free; `None` if stdout is no terminal or its size is unknown.
-    pub fn of_terminal(free: u16) -> Option<Self> {
-        let (columns, rows) = crossterm::terminal::size().ok()?;
-        // A window of size zero is one whose size is unknown.
-        (std::io::stdout().is_terminal() && columns > 0 && rows > free + 1).then(|| Self {
-            width: usize::from(columns),
-            height: usize::from(rows - free),
-            colors: std::env::var_os("NO_COLOR").is_none(),
+    pub fn of_terminal(free: usize) -> Option<Self> {
+        let (columns, rows) = size()?;
+        (std::io::stdout().is_terminal() && rows > free + 1).then(|| Self {
+            width: columns,
+            height: rows - free,
+            colors: has_colors(),
         })
     }
+}
+
+/// Columns and rows of the terminal, if they are known: a window of size zero is one whose size is not.
+pub fn size() -> Option<(usize, usize)> {
+    let (columns, rows) = crossterm::terminal::size().ok()?;
+    (columns > 0 && rows > 0).then(|| (columns.into(), rows.into()))
+}
+
+/// Whether the user wants colours on a terminal.
+pub fn has_colors() -> bool {
+    std::env::var_os("NO_COLOR").is_none()
 }
 
 /// A colour of the 256-colour palette.
@@ -97,13 +109,10 @@ pub fn map(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> String {
         Mark::Robot(pose) => Some(pose),
         _ => None,
     });
-    let robot = robot
-        .map(|pose| {
-            // Not "-0.00".
-            let [x, y, yaw] = [pose.x, pose.y, pose.yaw].map(|value| (100.0 * value).round() / 100.0 + 0.0);
-            format!("\nrobot at ({x:.2}, {y:.2}), heading {yaw:.2} rad")
-        })
-        .unwrap_or_default();
+    let robot = piece(robot, |pose| {
+        let [x, y, yaw] = [pose.x, pose.y, pose.yaw].map(hundredths);
+        format!("\nrobot at ({x:.2}, {y:.2}), heading {yaw:.2} rad")
+    });
     text.push_str(&format!(
         "x {:.2} to {:.2} m, y {:.2} to {:.2} m, a column is {:.2} m{robot}",
         spec.origin.x, upper.x, spec.origin.y, upper.y, spec.resolution
@@ -206,7 +215,6 @@ fn scale([low, high]: [Cell; 2], screen: Screen) -> u32 {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -278,12 +286,7 @@ mod tests {
     fn unknown_margins_are_left_out_and_nothing_is_said_of_an_empty_map() {
         assert_eq!(lines(&grid(&["????", "?#.?", "?..?", "????"]), &[], PLAIN)[0], "▀ ");
         assert_eq!(lines(&grid(&["??"]), &[], PLAIN)[0], "░░");
-        let empty = GridSpec {
-            origin: Point2::origin(),
-            resolution: 1.0,
-            width: 0,
-            height: 0,
-        };
-        assert_eq!(map(&OccupancyGrid::filled(empty, 0), &[], PLAIN), "(the map is empty)");
+        let empty = zenav_fixtures::free_map(zenav_fixtures::spec(0, 0, 1.0));
+        assert_eq!(map(&empty, &[], PLAIN), "(the map is empty)");
     }
 }

@@ -218,7 +218,6 @@ pub fn png(nodes: &[NodeReport]) -> Result<Vec<u8>, Failure> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_mission::trees;

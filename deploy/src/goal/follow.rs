@@ -159,11 +159,7 @@ impl Progress {
         }
         let step = format!("{:?} {}", state.state, state.feedback.step);
         let step = step.trim_end();
-        let left = state
-            .feedback
-            .distance_left
-            .map(|m| format!(", {m:.2} m left"))
-            .unwrap_or_default();
+        let left = output::piece(state.feedback.distance_left, |m| format!(", {m:.2} m left"));
         match &self.bar {
             Some(_) => self.say(&format!("{step}{left}")),
             None if step != self.last => self.say(&format!("{} {step}{left}", state.id)),

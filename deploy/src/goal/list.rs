@@ -8,7 +8,8 @@ use zenav_protocol::messages::{
 use zenav_protocol::topics;
 
 use super::Report;
-use crate::connect::{self, RobotArgs, fresh_id, whole};
+use crate::arguments::whole;
+use crate::connect::{self, RobotArgs, fresh_id};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::leadership;
@@ -76,33 +77,31 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &ListArgs) -> Outcome
 
 fn table(goals: &[Listed], several_robots: bool) -> String {
     let number = |value: Option<f64>| value.map(|value| format!("{value:.2}")).unwrap_or_default();
-    let rows: Vec<Vec<String>> = goals
-        .iter()
-        .map(|Listed { goal, age_s }| {
-            let took = goal
-                .started
-                .and_then(|started| goal.ended.map(|ended| ended.secs_since(started)));
-            let left = goal.feedback.distance_left.filter(|_| !goal.state.is_end());
-            let mut row = vec![
-                goal.id.clone(),
-                format!("{:?}", goal.state),
-                target(&goal.request),
-                age_s.map(age).unwrap_or_default(),
-                number(left),
-                number(took),
-                remark(goal),
-            ];
-            if several_robots {
-                row.insert(1, goal.robot.clone());
-            }
-            row
-        })
-        .collect();
+    let rows = goals.iter().map(|Listed { goal, age_s }| {
+        let took = goal
+            .started
+            .zip(goal.ended)
+            .map(|(started, ended)| ended.secs_since(started));
+        let left = goal.feedback.distance_left.filter(|_| !goal.state.is_end());
+        let mut row = vec![
+            goal.id.clone(),
+            format!("{:?}", goal.state),
+            target(&goal.request),
+            age_s.map(age).unwrap_or_default(),
+            number(left),
+            number(took),
+            remark(goal),
+        ];
+        if several_robots {
+            row.insert(1, goal.robot.clone());
+        }
+        row
+    });
     let mut header = vec!["ID", "STATE", "TARGET", "AGE", "LEFT m", "TOOK s", "REMARK"];
     if several_robots {
         header.insert(1, "ROBOT");
     }
-    output::table(&header, &rows)
+    output::table(&header, rows)
 }
 
 /// How a goal ended, or its current activity.
@@ -120,11 +119,7 @@ fn remark(goal: &GoalState) -> String {
             let length = (length > 0.0).then(|| format!("{length:.1} m planned"));
             let plans = goal.feedback.plans;
             let plans = (plans > 0).then(|| output::counted(plans, "plan"));
-            [error, length, plans]
-                .into_iter()
-                .flatten()
-                .collect::<Vec<_>>()
-                .join(", ")
+            output::listed([error, length, plans].into_iter().flatten())
         }
         GoalPhase::Active => goal.feedback.step.clone(),
         GoalPhase::Accepted => "waits for its turn".to_owned(),
@@ -172,13 +167,10 @@ pub(super) fn cancel(robot: &RobotArgs, format: Format, id: Option<String>) -> O
         let reply = leadership::ask(&bus, &topics::CANCEL, &robot, &request, patience).await;
         let reply = reply.map_err(|error| not_there(&robot, request.id.as_deref(), error))?;
         if reply.state.is_end() && reply.state != GoalPhase::Canceled {
-            return Err(Failure::new(
-                exit_code::REJECTED,
-                format!(
-                    "goal {} is {:?}: only a goal that has not ended can be cancelled",
-                    reply.id, reply.state
-                ),
-            ));
+            return Err(Failure::rejected(format!(
+                "goal {} is {:?}: only a goal that has not ended can be cancelled",
+                reply.id, reply.state
+            )));
         }
         print(format, &robot, reply)
     })
@@ -220,7 +212,6 @@ fn print(format: Format, robot: &str, reply: GoalReply) -> Outcome {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use zenav_protocol::messages::GoalPoint;
 

@@ -19,7 +19,7 @@ use crate::completion;
 use crate::connect::RobotArgs;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
-use crate::output::Format;
+use crate::output::{Format, piece};
 
 pub(crate) use list::target;
 
@@ -29,7 +29,6 @@ pub(crate) use list::target;
     after_help = "Examples:\n  zenav goal submit 0.88 0.09 --wait\n  zenav goal submit --place sink --on-busy preempt\n  zenav goal submit --tree patrol.xml --wait\n  zenav goal list --state active,accepted\n  zenav goal move patrol --before delivery\n\nExit codes of a goal that is waited for: 0 reached, 1 aborted, 6 cancelled, 7 rejected, 130 detached by Ctrl-C."
 )]
 pub struct GoalArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -147,23 +146,15 @@ impl Report {
     }
 
     fn line(&self) -> String {
-        let mut text = format!("{} {:?}", self.id, self.state);
-        if let Some(reason) = &self.reason {
-            text.push_str(": ");
-            text.push_str(reason);
-        }
-        if let Some(place) = &self.nearest_free {
-            text.push_str(&format!(" (nearest free place: {:.2}, {:.2})", place.x, place.y));
-        }
-        if let Some(secs) = self.time_s {
-            text.push_str(&format!(" ({secs:.1} s)"));
-        }
-        text
+        let reason = piece(self.reason.as_ref(), |reason| format!(": {reason}"));
+        let near = |place: GoalPoint| format!(" (nearest free place: {:.2}, {:.2})", place.x, place.y);
+        let near = piece(self.nearest_free, near);
+        let time = piece(self.time_s, |secs| format!(" ({secs:.1} s)"));
+        format!("{} {:?}{reason}{near}{time}", self.id, self.state)
     }
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
 

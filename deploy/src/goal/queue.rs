@@ -79,15 +79,11 @@ fn in_order(goals: Vec<GoalState>) -> Vec<Waiting> {
 }
 
 fn table(waiting: &[Waiting]) -> String {
-    let rows: Vec<Vec<String>> = waiting
-        .iter()
-        .map(|Waiting { place, goal }| vec![place.to_string(), goal.id.clone(), target(&goal.request)])
-        .collect();
-    output::table(&["PLACE", "ID", "TARGET"], &rows)
+    let row = |Waiting { place, goal }: &Waiting| [place.to_string(), goal.id.clone(), target(&goal.request)];
+    output::table(&["PLACE", "ID", "TARGET"], waiting.iter().map(row))
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::super::tests::parse;
     use super::*;

@@ -14,8 +14,9 @@ use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, 
 use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
+use crate::arguments::{finite, heading, name, positive, whole};
 use crate::completion;
-use crate::connect::{self, RobotArgs, finite, fresh_id, heading, name, positive, whole};
+use crate::connect::{self, RobotArgs, fresh_id};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
@@ -241,7 +242,6 @@ async fn finish(bus: &Bus, robot: &str, reply: &GoalReply, format: Format) -> Ou
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::super::tests::parse;
     use super::super::{GoalArgs, GoalCommand};

@@ -1,6 +1,6 @@
 //! `zenav deploy render`, `check` and `health`: arguments, files and the bus around the pure parts.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{InfoReply, InfoRequest};
 use zenav_protocol::topics::{self, Ask};
 
-use super::files::{self, Target};
+use super::files::{self, Files, Target};
 use super::layout::{Layout, ROUTER_PORT};
 use super::running::{self, Finding, Seen, State};
 use super::{health, named_files, readme};
@@ -25,6 +25,8 @@ use crate::inspect::check_admitted;
 use crate::keys;
 use crate::output::{self, Format};
 
+/// Name of the deployment file on every host.
+const DEPLOYMENT: &str = "deployment.toml";
 /// List of rendered files: the next rendering deletes those that no longer belong to it.
 const LIST: &str = "rendered.txt";
 /// Largest contents of a ConfigMap, bytes; its metadata needs the rest.
@@ -68,6 +70,9 @@ enum DeployCommand {
         /// Folder of the certificate authority, where the parts' keys are checked
         #[arg(long, value_name = "DIR", default_value = "fleet-keys")]
         keys: PathBuf,
+        /// Folder that `zenav deploy render` has written: its files must be those that the deployment renders now
+        #[arg(long, value_name = "DIR", conflicts_with = "against_bus")]
+        rendered: Option<PathBuf>,
         #[command(flatten)]
         link: LinkArgs,
         /// Output format
@@ -99,6 +104,7 @@ pub fn deploy(args: &DeployArgs) -> Outcome {
             file,
             against_bus,
             keys,
+            rendered,
             link,
             output,
         } => {
@@ -108,7 +114,11 @@ pub fn deploy(args: &DeployArgs) -> Outcome {
             if *against_bus {
                 return compare(&layout, link, *output);
             }
-            report_keys(&key_problems(&layout, keys), &layout, *output)
+            let mut problems = key_problems(&layout, keys);
+            if let Some(out) = rendered {
+                problems.extend(outdated(file, out)?);
+            }
+            report(&problems, &layout, *output)
         }
         DeployCommand::Health { address } => {
             output::line(&health::ready(*address)?);
@@ -191,8 +201,8 @@ fn render(file: &Path, out: &Path, target: Target) -> Outcome {
     // The rendered files depend on the file alone: the parts read it again, without this shell's variables.
     let layers = Layers::load_file(file)?;
     let (layout, named) = laid_out(&layers, file, Format::Table)?;
-    let config = [vec!["deployment.toml".to_owned()], named.clone()].concat();
-    let texts = files::render(&layout, &config, target).map_err(Failure::failed)?;
+    let config = [vec![DEPLOYMENT.to_owned()], named.clone()].concat();
+    let (texts, folders) = texts(&layout, &config, target)?;
     if texts.keys().any(|path| path.starts_with("kubernetes")) {
         fit_a_config_map(&folder_of(file), file, &named)?;
     }
@@ -206,11 +216,7 @@ fn render(file: &Path, out: &Path, target: Target) -> Outcome {
         crate::files::write(&to, text)?;
         paths.insert(path.clone());
     }
-    let folders = ["etc", "kubernetes"];
-    for folder in folders
-        .into_iter()
-        .filter(|folder| *folder == "etc" || texts.keys().any(|path| path.starts_with(folder)))
-    {
+    for folder in folders {
         named_files::copy(file, &named, &out.join(folder))?;
         paths.extend(config.iter().map(|name| format!("{folder}/{name}")));
     }
@@ -226,6 +232,57 @@ fn render(file: &Path, out: &Path, target: Target) -> Outcome {
         output::counted(paths.len(), "file")
     ));
     Ok(exit_code::OK)
+}
+
+/// The rendered texts, and the folders into which the deployment file and those that it names (`config`) are copied.
+fn texts(layout: &Layout<'_>, config: &[String], target: Target) -> Result<(Files, Vec<&'static str>), Failure> {
+    let texts = files::render(layout, config, target).map_err(Failure::failed)?;
+    let is_needed = |folder: &&str| *folder == "etc" || texts.keys().any(|path| path.starts_with(*folder));
+    let folders = ["etc", "kubernetes"].into_iter().filter(is_needed).collect();
+    Ok((texts, folders))
+}
+
+/// What is wrong with files that an earlier rendering of a deployment wrote into a folder: they are missing, were edited, or are of another
+/// version of the deployment.
+fn outdated(file: &Path, out: &Path) -> Result<Vec<Problem>, Failure> {
+    let list = std::fs::read_to_string(out.join(LIST)).map_err(|_| {
+        Failure::usage(format!(
+            "--rendered {}: expected a folder that `zenav deploy render` has written",
+            out.display()
+        ))
+    })?;
+    let written: BTreeSet<&str> = list.lines().collect();
+    let layers = Layers::load_file(file)?;
+    let (layout, named) = laid_out(&layers, file, Format::Table)?;
+    let config = [vec![DEPLOYMENT.to_owned()], named].concat();
+    let (texts, folders) = texts(&layout, &config, Target::of(&written))?;
+    let mut expected: BTreeMap<String, Vec<u8>> = texts
+        .into_iter()
+        .map(|(path, text)| (path, text.into_bytes()))
+        .collect();
+    for name in &config {
+        let source = match name.as_str() {
+            DEPLOYMENT => file.to_owned(),
+            name => folder_of(file).join(name),
+        };
+        let bytes = std::fs::read(&source).map_err(Failure::failed_at(&source))?;
+        expected.extend(folders.iter().map(|folder| (format!("{folder}/{name}"), bytes.clone())));
+    }
+    let mut problems = Vec::new();
+    for (path, bytes) in &expected {
+        let why = match std::fs::read(out.join(path)) {
+            Ok(found) if found == *bytes => continue,
+            Ok(_) => "is not what the deployment renders",
+            Err(_) => "is missing",
+        };
+        problems.push(Problem::said(format_args!("{} {why}", out.join(path).display())));
+    }
+    let stale = written.iter().filter(|path| !expected.contains_key(**path));
+    problems.extend(stale.map(|path| {
+        let path = out.join(path);
+        Problem::said(format_args!("{} is no file of the deployment any more", path.display()))
+    }));
+    Ok(problems)
 }
 
 /// Checks that the files fit into a Kubernetes ConfigMap: at most 1 MiB, under keys of letters, digits, `-`, `_` and `.`.
@@ -320,7 +377,7 @@ fn key_problems(layout: &Layout<'_>, folder: &Path) -> Vec<Problem> {
     readme::identities(layout).into_iter().filter_map(problem).collect()
 }
 
-fn report_keys(problems: &[Problem], layout: &Layout<'_>, format: Format) -> Outcome {
+fn report(problems: &[Problem], layout: &Layout<'_>, format: Format) -> Outcome {
     if !problems.is_empty() {
         return Err(refused(problems, format, exit_code::FAILED));
     }
@@ -419,17 +476,7 @@ async fn look(layout: &Layout<'_>, link: &LinkArgs) -> Result<Seen, Failure> {
 
 async fn fill(seen: &mut Seen, bus: &Bus) -> Result<(), Failure> {
     seen.robots = connect::robots(bus).await?;
-    let workers = bus
-        .list_alive(topics::alive_key(topics::ALIVE_WORKER, &["*", "*"]), GLANCE)
-        .await?;
-    for key in &workers {
-        if let Some([service, worker]) = topics::alive_chunks(topics::ALIVE_WORKER, key).as_deref() {
-            seen.workers
-                .entry((*service).to_owned())
-                .or_default()
-                .insert((*worker).to_owned());
-        }
-    }
+    seen.workers = connect::alive(bus, topics::ALIVE_WORKER, GLANCE).await?;
     let parts = answering(bus, &topics::PART_INFO).await?;
     seen.gateways = parts.iter().filter(|part| part.component == "gateway").count();
     for mapper in parts.into_iter().filter(|part| part.component == "mapping") {
@@ -462,10 +509,7 @@ async fn answering(bus: &Bus, ask: &Ask<InfoRequest, InfoReply>) -> Result<Vec<I
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use std::collections::BTreeMap;
-
     use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
 
     use super::*;
@@ -480,6 +524,41 @@ mod tests {
         assert_eq!(hosts, ["fleet-a", "fleet-b", "site"].map(|name| Some(name.to_owned())));
         let given = vec![DEFAULT_ENDPOINT.to_owned()];
         assert_eq!(viewpoints(&layout, &given), [(None, given.clone())]);
+    }
+
+    #[test]
+    fn a_rendering_that_was_edited_or_is_of_an_older_file_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, out) = (folder.path().join("fleet.toml"), folder.path().join("out"));
+        std::fs::write(&file, include_str!("tests/fleet.toml")).unwrap();
+        assert!(outdated(&file, &out).is_err(), "nothing is rendered yet");
+        let told = || -> Vec<String> {
+            let problems = outdated(&file, &out).unwrap();
+            problems.iter().map(Problem::to_string).collect()
+        };
+        for target in [Target::Systemd, Target::Zenoh, Target::All] {
+            render(&file, &out, target).unwrap();
+            assert_eq!(told(), Vec::<String>::new(), "{target:?}");
+        }
+        let unit = out.join("hosts/robot-a/systemd/zenav-edge-anna.service");
+        std::fs::write(unit, "[Unit]\n").unwrap();
+        std::fs::remove_file(out.join("compose.yaml")).unwrap();
+        let found = told();
+        assert!(
+            found.len() == 2 && found[0].ends_with("compose.yaml is missing") && found[1].contains("is not what"),
+            "{found:#?}"
+        );
+        render(&file, &out, Target::All).unwrap();
+        let moved = include_str!("tests/fleet.toml").replace("[hosts.robot-a]", "[hosts.robot-z]");
+        std::fs::write(&file, moved).unwrap();
+        let found = told();
+        for what in [
+            "etc/deployment.toml is not what",
+            "hosts/robot-z/compose.yaml is missing",
+            "hosts/robot-a/compose.yaml is no file of",
+        ] {
+            assert!(found.iter().any(|told| told.contains(what)), "{what}: {found:#?}");
+        }
     }
 
     #[test]

@@ -64,15 +64,23 @@ pub(super) fn name(host: &Host, part: &Part) -> String {
     format!("{}-{}", host.name, part.name())
 }
 
+/// The endpoint at which a part that listens is dialled.
+pub(super) fn endpoint(layout: &Layout<'_>, host: &Host, part: &Part, addresses: Addresses) -> String {
+    let address = match addresses {
+        Addresses::Hosts => host.address.clone(),
+        Addresses::Names => name(host, part),
+    };
+    let port = host.port(layout.deployment, part).unwrap_or_default();
+    format!("{}/{address}:{port}", layout.protocol())
+}
+
 /// The arguments of `zenav` for a part.
 pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place) -> Vec<String> {
     let mut line = Line(Vec::new());
     let own_host = match (part, place.addresses) {
         // A robot may listen on one of its host's addresses only.
-        (Part::Edge(robot), Addresses::Hosts) => layout
-            .deployment
-            .robots
-            .get(robot.as_str())
+        (Part::Edge(_), Addresses::Hosts) => layout
+            .robot(part)
             .map(|robot| host_of(&robot.listen))
             .filter(|named| named.parse::<IpAddr>().is_ok_and(|address| !address.is_loopback())),
         _ => None,
@@ -84,14 +92,7 @@ pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &P
     let listen = host
         .port(layout.deployment, part)
         .map(|port| format!("{}/{own_host}:{port}", layout.protocol()));
-    let dial = |host: &Host, part: &Part| {
-        let address = match place.addresses {
-            Addresses::Hosts => host.address.clone(),
-            Addresses::Names => name(host, part),
-        };
-        let port = host.port(layout.deployment, part).unwrap_or_default();
-        format!("{}/{address}:{port}", layout.protocol())
-    };
+    let dial = |host: &Host, part: &Part| endpoint(layout, host, part, place.addresses);
     let routers: Vec<String> = host
         .routers
         .iter()
@@ -135,11 +136,7 @@ pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &P
         }
         Part::Edge(_) => {
             service(&mut line, &["edge"]);
-            let section = part
-                .robot()
-                .and_then(|robot| layout.deployment.robots.get(robot.as_str()));
-            let world = layout.world().filter(|_| section.is_some_and(|section| section.attach));
-            if let Some(world) = world {
+            if let Some(world) = layout.world().filter(|_| layout.attaches(part)) {
                 line.flag("--attach-to", dial(world, &Part::World));
             }
         }
@@ -162,7 +159,7 @@ pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &P
     if let Some(robot) = part.robot() {
         line.flag("--robot", robot.to_string());
     }
-    if matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_)) {
+    if part.keeps_data() {
         line.flag("--data", place.data.clone());
     }
     let is_reachable = listen.is_some() || !is_loopback(&place.metrics);

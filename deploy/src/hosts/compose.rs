@@ -22,7 +22,7 @@ pub(super) fn whole(layout: &Layout<'_>) -> Value {
         let name = name(host, part);
         let mut service = service(layout, host, part, &Place::container(&name), "./etc");
         let mut networks = vec!["fleet"];
-        if layout.world().is_some() && is_in_the_world(layout, part) {
+        if layout.world().is_some() && (*part == Part::World || layout.attaches(part)) {
             networks.push("bodies");
         }
         service.insert("networks".to_owned(), json!(networks));
@@ -58,15 +58,6 @@ pub(super) fn of_host(layout: &Layout<'_>, host: &Host) -> Value {
         services.insert(name, Value::Object(service));
     }
     json!({ "services": services, "volumes": volumes })
-}
-
-fn is_in_the_world(layout: &Layout<'_>, part: &Part) -> bool {
-    let attaches = |robot: &str| layout.deployment.robots.get(robot).is_some_and(|robot| robot.attach);
-    match part {
-        Part::World => true,
-        Part::Edge(robot) => attaches(robot.as_str()),
-        _ => false,
-    }
 }
 
 /// A container without privileges, read-only but for its volume.
@@ -118,7 +109,7 @@ fn service(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place, config:
 
 /// Adds a volume for the part's data.
 fn keep(service: &mut Map<String, Value>, volumes: &mut Map<String, Value>, name: &str, part: &Part) {
-    if !matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_)) {
+    if !part.keeps_data() {
         return;
     }
     if let Some(Value::Array(mounts)) = service.get_mut("volumes") {

@@ -5,16 +5,17 @@
 //! etc/                            the deployment file and what it names, copied: /etc/zenav on every host
 //! hosts/NAME/systemd/*.service    units of a host
 //! hosts/NAME/compose.yaml         the same parts as containers of that host
+//! hosts/NAME/zenoh/MEMBER.json5   Zenoh's settings for other programs on that host, with the identity of this member
 //! compose.yaml                    all parts as containers of one engine
 //! kubernetes/*.yaml               kustomize base of the parts of cloud and edge sites, and the files of etc/
 //! ```
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
 
 use super::layout::Layout;
-use super::{compose, kubernetes, readme, systemd};
+use super::{compose, kubernetes, readme, systemd, zenoh};
 use crate::config::Role;
 
 /// What to render for.
@@ -26,8 +27,29 @@ pub enum Target {
     Compose,
     /// A kustomize base
     Kubernetes,
+    /// Zenoh's settings for programs of other kinds on each host
+    Zenoh,
     /// All of them
     All,
+}
+
+impl Target {
+    /// What a rendering with files of these paths was for.
+    pub(super) fn of(paths: &BTreeSet<&str>) -> Self {
+        let has = |what: &str| paths.iter().any(|path| path.contains(what));
+        match [
+            has("/systemd/"),
+            has("compose.yaml"),
+            has("kubernetes/"),
+            has("/zenoh/"),
+        ] {
+            [true, false, false, false] => Self::Systemd,
+            [false, true, false, false] => Self::Compose,
+            [false, false, true, false] => Self::Kubernetes,
+            [false, false, false, true] => Self::Zenoh,
+            _ => Self::All,
+        }
+    }
 }
 
 /// File contents by path within the folder.
@@ -56,6 +78,13 @@ pub fn render(layout: &Layout<'_>, etc: &[String], target: Target) -> Result<Fil
             files.insert(path, yaml(&[compose::of_host(layout, host)])?);
         }
         files.insert("compose.yaml".to_owned(), yaml(&[compose::whole(layout)])?);
+    }
+    if wanted(Target::Zenoh) {
+        for host in &layout.hosts {
+            for (member, text) in zenoh::settings(layout, host) {
+                files.insert(format!("hosts/{}/zenoh/{member}.json5", host.name), text);
+            }
+        }
     }
     if wanted(Target::Kubernetes)
         && layout

@@ -24,12 +24,8 @@ pub(super) fn ready(address: SocketAddr) -> Result<String, Failure> {
         };
         Failure::new(code, format!("{address}: {error}"))
     };
-    let mut stream = TcpStream::connect_timeout(&address, PATIENCE).map_err(|error| {
-        Failure::new(
-            exit_code::CANNOT_CONNECT,
-            format!("cannot connect to {address}: {error}"),
-        )
-    })?;
+    let mut stream = TcpStream::connect_timeout(&address, PATIENCE)
+        .map_err(|error| Failure::cannot_connect(format!("cannot connect to {address}: {error}")))?;
     stream.set_read_timeout(Some(PATIENCE)).map_err(failed)?;
     stream.set_write_timeout(Some(PATIENCE)).map_err(failed)?;
     let request = format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
@@ -49,7 +45,6 @@ pub(super) fn ready(address: SocketAddr) -> Result<String, Failure> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use std::io::{BufRead as _, BufReader};
     use std::net::TcpListener;

@@ -78,7 +78,6 @@ fn labels(instance: &str, part: &Part) -> Value {
 /// Workload, service and autoscaler for a part.
 fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
     let name = name(host, part);
-    let keeps = matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_));
     let mut spec = json!({
         "selector": { "matchLabels": labels(&name, part) },
         "template": {
@@ -90,7 +89,7 @@ fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
         // Motion replicas are controlled by the autoscaler.
         spec["replicas"] = json!(1);
     }
-    let kind = if keeps {
+    let kind = if part.keeps_data() {
         spec["serviceName"] = json!(name);
         spec["volumeClaimTemplates"] = json!([{
             "metadata": { "name": "data" },
@@ -119,7 +118,7 @@ fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
             "ClusterIP"
         };
         all.push(service(&name, part, json!({ "type": kind, "ports": ports })));
-    } else if keeps {
+    } else if part.keeps_data() {
         all.push(service(
             &name,
             part,
@@ -150,11 +149,9 @@ fn service_ports(layout: &Layout<'_>, part: &Part) -> Option<Value> {
         Part::Gateway => layout.page_port()?,
         _ => return None,
     };
-    let name = if *part == Part::Gateway { "page" } else { "zenoh" };
-    let protocol = if *part == Part::Gateway {
-        "TCP"
-    } else {
-        layout.transport()
+    let (name, protocol) = match part {
+        Part::Gateway => ("page", "TCP"),
+        _ => ("zenoh", layout.transport()),
     };
     Some(json!([{ "name": name, "port": port, "protocol": protocol, "targetPort": name }]))
 }
@@ -169,7 +166,7 @@ fn pod(layout: &Layout<'_>, host: &Host, part: &Part, name: &str) -> Value {
     }
     let mut mounts = vec![json!({ "name": "config", "mountPath": CONFIG, "readOnly": true })];
     let mut volumes = vec![json!({ "name": "config", "configMap": { "name": "zenav" } })];
-    if matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_)) {
+    if part.keeps_data() {
         mounts.push(json!({ "name": "data", "mountPath": DATA }));
     }
     if layout.profile == Profile::Mtls {
@@ -253,11 +250,8 @@ fn autoscaler(name: &str, part: &Part) -> Value {
 
 /// Whether a robot of the served world runs on its own machine, outside the cluster.
 fn has_robots_outside(layout: &Layout<'_>) -> bool {
-    let robots = &layout.deployment.robots;
-    layout.parts().any(|(host, part)| match part {
-        Part::Edge(robot) => host.role == Role::Robot && robots.get(robot.as_str()).is_some_and(|robot| robot.attach),
-        _ => false,
-    })
+    let mut parts = layout.parts();
+    parts.any(|(host, part)| host.role == Role::Robot && layout.attaches(part))
 }
 
 /// At most one pod of a kind is evicted at a time: the other router, worker or orchestrator keeps running.

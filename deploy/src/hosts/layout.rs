@@ -10,7 +10,7 @@ use zenav_protocol::config_text::OutOfBounds;
 
 use super::part::Part;
 use super::problems;
-use crate::config::{Deployment, Profile, Role};
+use crate::config::{Deployment, Profile, RobotSection, Role};
 
 /// Zenoh's default port, where routers listen.
 pub const ROUTER_PORT: u16 = 7447;
@@ -147,6 +147,21 @@ impl<'d> Layout<'d> {
         self.hosts.iter().find(|host| host.runs("world"))
     }
 
+    /// Section of the robot whose edge the part is.
+    #[must_use]
+    pub fn robot(&self, part: &Part) -> Option<&'d RobotSection> {
+        match part {
+            Part::Edge(robot) => self.deployment.robots.get(robot.as_str()),
+            _ => None,
+        }
+    }
+
+    /// Whether the part is the edge of a robot in the served world.
+    #[must_use]
+    pub fn attaches(&self, part: &Part) -> bool {
+        self.robot(part).is_some_and(|robot| robot.attach)
+    }
+
     /// Hosts whose routers a host's router dials: if both ends of a link dialled each other, it would be made twice.
     #[must_use]
     pub fn dialled_by_router<'h>(&'h self, host: &'h Host) -> Vec<&'h Host> {
@@ -163,7 +178,7 @@ impl<'d> Layout<'d> {
         match part {
             Part::Router | Part::World => format!("router.{}", host.name),
             // A robot simulated in its own process publishes the simulated time to everybody, which no robot role may.
-            Part::Edge(robot) if self.is_simulated(robot.as_str()) => format!("router.{}", host.name),
+            Part::Edge(_) if self.is_simulated(part) => format!("router.{}", host.name),
             Part::Edge(robot) => format!("robot.{robot}"),
             Part::Gateway => format!("operator.{}", host.name),
             Part::Mapping(_) | Part::Motion | Part::Mission(_) => format!("service.{}", host.name),
@@ -171,9 +186,8 @@ impl<'d> Layout<'d> {
     }
 
     /// Whether the edge's own process simulates the robot's body.
-    fn is_simulated(&self, robot: &str) -> bool {
-        let robot = self.deployment.robots.get(robot);
-        robot.is_some_and(|robot| !robot.attach && !robot.driver)
+    fn is_simulated(&self, part: &Part) -> bool {
+        self.robot(part).is_some_and(|robot| !robot.attach && !robot.driver)
     }
 
     /// Files of a part's identity; a part that is dialled also needs the list of members.

@@ -10,6 +10,8 @@ use zenav_sim::world;
 
 use crate::config::Deployment;
 use crate::failure::Failure;
+use crate::files::{Shipped, names};
+use crate::output::listed;
 
 /// Largest file copied, bytes: a map of a large building.
 const MOST: u64 = 64 * 1024 * 1024;
@@ -23,7 +25,7 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
     let mut problems = Vec::new();
     // The key that names each file.
     let mut keys = BTreeMap::new();
-    let mut name = |key: String, name: &str, is_shipped: bool, shipped: &[&str]| {
+    let mut name = |key: String, name: &str, is_shipped: bool, shipped: Shipped| {
         let is_plain = is_plain(name);
         let problem = if folder.join(name).is_file() && is_plain {
             found.insert(name.to_owned());
@@ -38,7 +40,7 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
         } else {
             format!(
                 "expected a file beside the deployment file, or one of {}",
-                shipped.join(", ")
+                listed(names(shipped))
             )
         };
         problems.push(OutOfBounds {
@@ -52,14 +54,14 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
         "simulation.world".to_owned(),
         places,
         world::shipped(places).is_some() || (!simulated && places.is_empty()),
-        &names_of(world::SHIPPED),
+        world::SHIPPED,
     );
-    let models = names_of(robot::SHIPPED);
-    let options = names_of(robot::OPTIONS);
     for (id, section) in &deployment.robots {
         for (place, part) in section.model.split('+').enumerate() {
-            let known = if place == 0 { &models } else { &options };
-            let is_shipped = models.iter().chain(&options).any(|known| *known == part);
+            let known = if place == 0 { robot::SHIPPED } else { robot::OPTIONS };
+            let is_shipped = names(robot::SHIPPED)
+                .chain(names(robot::OPTIONS))
+                .any(|known| known == part);
             name(format!("robots.{id}.model"), part, is_shipped, known);
         }
     }
@@ -92,10 +94,6 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
     } else {
         Err(problems)
     }
-}
-
-fn names_of(shipped: &[(&'static str, &'static str)]) -> Vec<&'static str> {
-    shipped.iter().map(|(name, _)| *name).collect()
 }
 
 /// Whether a name is that of a file directly in the folder.

@@ -94,6 +94,12 @@ impl Part {
         }
     }
 
+    /// Whether the part keeps data on disk.
+    #[must_use]
+    pub fn keeps_data(&self) -> bool {
+        matches!(self, Self::Edge(_) | Self::Mapping(_) | Self::Mission(_))
+    }
+
     /// Whether the part serves this robot.
     #[must_use]
     pub fn serves(&self, robot: &str) -> bool {
@@ -114,7 +120,6 @@ pub(super) fn is_label(name: &str) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

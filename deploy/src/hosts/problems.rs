@@ -10,6 +10,7 @@ use super::layout::{EDGE_PORT, Host, ROUTER_PORT, SCOUTING_PORT, host_of, is_loo
 use super::part::{Part, is_label};
 use crate::config::{Deployment, HostSection, Role, RouterSection};
 use crate::keys::is_host_name;
+use crate::output::listed;
 
 /// Most letters of a host's and a part's name together: Kubernetes appends eleven, and a label holds 63.
 const MOST_LETTERS: usize = 52;
@@ -108,11 +109,8 @@ impl Found {
                         .robot()
                         .filter(|robot| !deployment.robots.contains_key(robot.as_str()))
                     {
-                        let known: Vec<&str> = deployment.robots.keys().map(String::as_str).collect();
-                        self.add(
-                            &key,
-                            format!("has `{entry}`: no robot `{robot}`; there is {}", known.join(", ")),
-                        );
+                        let known = listed(deployment.robots.keys());
+                        self.add(&key, format!("has `{entry}`: no robot `{robot}`; there is {known}"));
                     }
                     let length = name.len() + 1 + part.name().len();
                     if length > MOST_LETTERS {

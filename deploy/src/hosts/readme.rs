@@ -7,9 +7,10 @@ use super::compose::IMAGE;
 use super::files::Target;
 use super::kubernetes::PAGE_SECRET;
 use super::layout::{Host, Layout};
-use super::part::{Part, label};
+use super::part::label;
 use super::systemd;
 use crate::config::{Profile, Role};
+use crate::output::listed;
 
 /// The text of `README.md`.
 pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> String {
@@ -24,14 +25,13 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
             Role::Cloud => "cloud",
             Role::Operator => "operator",
         };
-        let runs: Vec<String> = host.parts.iter().map(Part::to_string).collect();
         let _ = writeln!(
             text,
             "| {} | {role} | {} | {} | {} |",
             host.name,
             host.address,
-            runs.join(", "),
-            host.routers.join(", ")
+            listed(&host.parts),
+            listed(&host.routers)
         );
     }
     if layout.profile == Profile::Mtls {
@@ -85,6 +85,14 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
             let _ = write!(text, " {told}");
         }
         text.push('\n');
+    }
+    if wanted(Target::Zenoh) {
+        text += "\n## Programs of your own\n\n`hosts/NAME/zenoh/MEMBER.json5` are Zenoh's settings for a program on that host that is no part of zenav, such as \
+                 a driver or Zenoh's own tools: a client of the routers that the host's parts dial";
+        text += match layout.profile {
+            Profile::Mtls => ", with the identity of that member, in `/etc/zenav-identity/MEMBER`.\n",
+            Profile::Open => ".\n",
+        };
     }
     if wanted(Target::Kubernetes) {
         text += "\n## Kubernetes\n\n```sh\nkubectl create namespace zenav\n";

@@ -88,21 +88,9 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
         .map(String::as_str)
         .filter(|robot| part.serves(robot))
         .collect();
-    let shows = |component: &str, robot: &str| {
-        seen.robots
-            .get(robot)
-            .is_some_and(|components| components.contains(component))
-    };
-    let without = |component: &str| -> Vec<&str> {
-        robots
-            .iter()
-            .copied()
-            .filter(|robot| !shows(component, robot))
-            .collect()
-    };
-    let of_robots = |missing: Vec<&str>| match missing.is_empty() {
-        true => (State::Runs, String::new()),
-        false => (State::Missing, format!("not of {}", missing.join(", "))),
+    let missing_if = |is_missing: bool, detail: String| match is_missing {
+        true => (State::Missing, detail),
+        false => (State::Runs, String::new()),
     };
     // The host of a copy is unknown: if one of two is missing, it may be either.
     let of_copies = |kind: &str, counts: &BTreeMap<String, usize>, name: &str| {
@@ -118,10 +106,7 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
             .filter(|(_, (there, meant))| there < meant)
             .map(|(robot, (there, meant))| format!("{robot} has {there} of {meant} {name}"))
             .collect();
-        match short.is_empty() {
-            true => (State::Runs, String::new()),
-            false => (State::Missing, short.join(", ")),
-        }
+        missing_if(!short.is_empty(), short.join(", "))
     };
     let (state, detail) = match part {
         Part::Router => match (seen.routers.get(&host.name), seen.routers.len()) {
@@ -132,11 +117,15 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
             ),
             _ => (State::Runs, String::new()),
         },
-        Part::World => match seen.workers.get("world").is_some_and(|worlds| !worlds.is_empty()) {
-            true => (State::Runs, String::new()),
-            false => (State::Missing, String::new()),
-        },
-        Part::Edge(_) => of_robots(without("edge")),
+        Part::World => {
+            let worlds = seen.workers.get("world");
+            missing_if(worlds.is_none_or(BTreeSet::is_empty), String::new())
+        }
+        Part::Edge(robot) => {
+            let components = seen.robots.get(robot.as_str());
+            let shows = components.is_some_and(|components| components.contains("edge"));
+            missing_if(!shows, format!("not of {robot}"))
+        }
         Part::Mapping(_) => of_copies("mapping", &seen.mappers, "mapping services"),
         Part::Mission(_) => of_copies("mission", &seen.orchestrators, "orchestrators"),
         Part::Motion => {
@@ -153,10 +142,8 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
         Part::Gateway => {
             // Whose gateway answers is unknown: if one of two is missing, it may be either.
             let meant = layout.parts().filter(|(_, part)| **part == Part::Gateway).count();
-            match seen.gateways {
-                there if there >= meant => (State::Runs, String::new()),
-                there => (State::Missing, format!("{there} of {meant} gateways answer")),
-            }
+            let there = seen.gateways;
+            missing_if(there < meant, format!("{there} of {meant} gateways answer"))
         }
     };
     Finding {

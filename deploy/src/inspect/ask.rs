@@ -12,6 +12,7 @@ use zenav_protocol::topics::{self, Ask, Producer, Row, TABLE, TableVisitor, Topi
 
 use super::payload;
 use super::unknown_field::unknown_field;
+use crate::arguments;
 use crate::completion;
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
@@ -20,8 +21,6 @@ use crate::files;
 use crate::leadership;
 use crate::output::{self, Format};
 
-/// Largest edit distance between an unknown name and the known one that is suggested for it.
-const SLIPS: usize = 3;
 /// Longest pause before a query is sent again.
 const AGAIN: Duration = Duration::from_millis(200);
 
@@ -31,7 +30,6 @@ const AGAIN: Duration = Duration::from_millis(200);
     after_help = "Examples:\n  zenav ask ask/edge/info\n  zenav ask ask/cloud/goal '{\"place\": \"sink\"}'\n  zenav ask 'ask/cloud/map?format=png' --out map.png\n  zenav schema GoalRequest        what may stand in a request\n\nExit codes: 0 answered, 2 the request does not fit its type, 3 not found, 5 no answer, 7 refused."
 )]
 pub struct AskArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -63,7 +61,7 @@ pub(super) struct PubArgs {
     #[arg(long, value_name = "HZ", value_parser = frequency)]
     hz: Option<f64>,
     /// Stop after this many messages
-    #[arg(long, value_name = "N", requires = "hz", value_parser = connect::whole::<u64>)]
+    #[arg(long, value_name = "N", requires = "hz", value_parser = arguments::whole::<u64>)]
     count: Option<u64>,
     /// Publish on a key that only the robot or its cloud may write
     #[arg(long)]
@@ -161,12 +159,9 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
             Some(row) => {
                 if row.producer != Producer::Operator && !args.force {
                     let by = format!("{:?}", row.producer).to_lowercase();
-                    return Err(Failure::new(
-                        exit_code::REJECTED,
-                        format!(
-                            "{key} is written by {by} alone: a second writer confuses the robot (--force publishes all the same)"
-                        ),
-                    ));
+                    return Err(Failure::rejected(format!(
+                        "{key} is written by {by} alone: a second writer confuses the robot (--force publishes all the same)"
+                    )));
                 }
                 check(row, &text)?;
                 if let (Some(hz), Some(rate)) = (args.hz, row.rate)
@@ -178,12 +173,9 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
                 }
             }
             None if is_reserved(&key) && !args.force => {
-                return Err(Failure::new(
-                    exit_code::REJECTED,
-                    format!(
-                        "{key}: keys of edge, cloud, body and sim have their own writers (--force publishes all the same)"
-                    ),
-                ));
+                return Err(Failure::rejected(format!(
+                    "{key}: keys of edge, cloud, body and sim have their own writers (--force publishes all the same)"
+                )));
             }
             None => {
                 any_json(&text)?;
@@ -388,7 +380,7 @@ fn fits(read: serde_json::Result<()>, text: &str, name: &str) -> Result<(), Fail
         Some(field) => {
             let last = field.rsplit('.').next().unwrap_or(&field);
             let known = super::schema::fields(name);
-            let perhaps = output::perhaps(last, known.iter().map(String::as_str), SLIPS);
+            let perhaps = output::perhaps(last, known.iter().map(String::as_str));
             Err(Failure::usage(format!(
                 "{name} has no field `{field}`{perhaps}; {hint}"
             )))
@@ -397,7 +389,6 @@ fn fits(read: serde_json::Result<()>, text: &str, name: &str) -> Result<(), Fail
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

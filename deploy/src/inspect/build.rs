@@ -10,8 +10,8 @@ use zenav_mapping::carmen::{self, LOG_BEAMS};
 use zenav_mapping::{Agreement, BuiltMap, InsertMode, agreement, build_map, write_map};
 use zenav_protocol::messages::Scan;
 
+use crate::arguments::resolution;
 use crate::batch::thread_time;
-use crate::connect::resolution;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use zenav_mapping::map_image::{self, MapMode};
-use zenav_mapping::read_map;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 
 use super::map::Summary;
-use crate::connect::positive;
+use crate::arguments::positive;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
@@ -42,10 +41,7 @@ enum ModeArg {
 
 /// Converts a map file.
 pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
-    let grid = match args.resolution {
-        Some(resolution) if args.input.is_file() => read_map(&args.input, resolution).map_err(Failure::usage)?,
-        _ => files::map(&args.input)?,
-    };
+    let grid = files::map_at(&args.input, args.resolution)?;
     let mode = match args.mode {
         ModeArg::Trinary => MapMode::Trinary,
         ModeArg::Scale => MapMode::Scale,
@@ -104,10 +100,9 @@ fn moving_ai(grid: &OccupancyGrid) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
-    use zenav_protocol::grid::{Cell, GridSpec};
+    use zenav_protocol::grid::GridSpec;
 
     use super::*;
     use crate::exit_code;
@@ -115,14 +110,9 @@ mod tests {
     fn grid() -> OccupancyGrid {
         let spec = GridSpec {
             origin: Point2::new(-1.0, 2.0),
-            resolution: 0.5,
-            width: 3,
-            height: 2,
+            ..zenav_fixtures::spec(3, 2, 0.5)
         };
-        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-        grid[Cell::new(0, 0)] = Occupancy::OCCUPIED;
-        grid[Cell::new(2, 1)] = Occupancy::UNKNOWN;
-        grid
+        zenav_fixtures::map_with(spec, &[(0, 0, Occupancy::OCCUPIED), (2, 1, Occupancy::UNKNOWN)])
     }
 
     #[test]

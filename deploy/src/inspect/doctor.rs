@@ -13,10 +13,10 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::check::{Check, Verdict};
-use super::diagnosis::{self, ClockSeen, Heard, Robot};
-use super::hosts;
+use super::diagnosis::{self, ClockSeen, Heard, Robot, hosts};
 use super::parts::{NOT_ADMITTED, check_admitted, only_robots_answer, parts};
 use crate::connect::{self, LinkArgs, RobotArgs};
+use crate::drawing::terminal;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -34,7 +34,6 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
     after_help = "Examples:\n  zenav doctor\n  zenav doctor -o json                        for scripts; exit code 1 where something failed\n  zenav doctor --connect tcp/127.0.0.1:7450   at the robot itself"
 )]
 pub struct DoctorArgs {
-    /// Robot to check; without a name, all.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -248,7 +247,7 @@ async fn clock(bus: &Bus, end: Instant) -> Result<ClockSeen, Failure> {
 }
 
 fn text(report: &Report) -> String {
-    let colors = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let colors = std::io::stdout().is_terminal() && terminal::has_colors();
     let width = report
         .checks
         .iter()

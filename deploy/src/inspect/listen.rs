@@ -13,8 +13,8 @@ use super::meter::{Meter, Reading, bytes};
 use super::payload;
 use super::schema::json_schema;
 use super::unknown_field::has_part;
+use crate::arguments::{self, positive, seconds};
 use crate::completion;
-use crate::connect::{self, positive, seconds};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -35,7 +35,7 @@ pub(super) struct ListenArgs {
     #[arg(add = completion::topic_keys())]
     pub(super) key: String,
     /// Stop after this many messages
-    #[arg(long, value_name = "N", value_parser = connect::whole::<u64>)]
+    #[arg(long, value_name = "N", value_parser = arguments::whole::<u64>)]
     count: Option<u64>,
     /// Stop after this time, s
     #[arg(long = "for", value_name = "SECS", value_parser = positive)]
@@ -53,9 +53,9 @@ pub(super) struct EchoArgs {
 }
 
 impl ListenArgs {
-    /// When to end.
-    fn until(&self, start: Instant) -> Option<Instant> {
-        self.secs.map(|secs| start + seconds(secs))
+    /// When to end; without a time, in decades.
+    fn until(&self, start: Instant) -> Instant {
+        start + seconds(self.secs.unwrap_or(f64::INFINITY))
     }
 }
 
@@ -96,17 +96,11 @@ pub(super) async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<M
 }
 
 /// The next sample, or why listening ended.
-async fn next(samples: &mut RawSubscription, until: Option<Instant>) -> Result<RawSample, Ending> {
-    let out_of_time = async {
-        match until {
-            Some(instant) => tokio::time::sleep_until(instant).await,
-            None => std::future::pending().await,
-        }
-    };
+async fn next(samples: &mut RawSubscription, until: Instant) -> Result<RawSample, Ending> {
     tokio::select! {
         biased;
         _ = tokio::signal::ctrl_c() => Err(Ending::Interrupted),
-        () = out_of_time => Err(Ending::OutOfTime),
+        () = tokio::time::sleep_until(until) => Err(Ending::OutOfTime),
         sample = samples.next() => sample.ok_or(Ending::Closed),
     }
 }
@@ -120,15 +114,15 @@ fn hint(pattern: &str) {
 /// Like [`next`]; if nothing has arrived yet on the key, prints one hint.
 async fn next_or_hint(
     samples: &mut RawSubscription,
-    until: Option<Instant>,
+    until: Instant,
     pattern: &str,
     messages: u64,
     hinted: &mut bool,
 ) -> Result<RawSample, Ending> {
     if messages == 0 && !std::mem::replace(hinted, true) {
         let soon = Instant::now() + SILENCE;
-        if until.is_none_or(|until| until > soon) {
-            match next(samples, Some(soon)).await {
+        if until > soon {
+            match next(samples, soon).await {
                 Err(Ending::OutOfTime) => hint(pattern),
                 other => return other,
             }
@@ -149,10 +143,7 @@ impl Ending {
         match self {
             Self::Interrupted => Ok(exit_code::INTERRUPTED),
             Self::OutOfTime if messages > 0 => Ok(exit_code::OK),
-            Self::OutOfTime => Err(Failure::new(
-                exit_code::TIMEOUT,
-                format!("nothing came on {pattern} in that time"),
-            )),
+            Self::OutOfTime => Err(Failure::timeout(format!("nothing came on {pattern} in that time"))),
             Self::Closed => Err(Failure::closed()),
         }
     }
@@ -174,7 +165,7 @@ fn part(message: &Value, path: &str) -> Result<Value, String> {
     let mut at = message;
     for name in path.split('.') {
         let (found, known) = match at {
-            Value::Object(fields) => (fields.get(name), fields.keys().cloned().collect::<Vec<_>>().join(", ")),
+            Value::Object(fields) => (fields.get(name), output::listed(fields.keys())),
             Value::Array(values) => (
                 name.parse::<usize>().ok().and_then(|index| values.get(index)),
                 format!("a list of {}", values.len()),
@@ -373,7 +364,6 @@ pub(super) fn bw_line(row: &Measured) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

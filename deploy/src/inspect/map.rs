@@ -14,8 +14,9 @@ use zenav_protocol::topics;
 
 use super::map_control::{self, Mapping};
 use super::{build, convert};
+use crate::arguments::{self, whole_in};
 use crate::completion;
-use crate::connect::{self, RobotArgs, whole_in};
+use crate::connect::{self, RobotArgs};
 use crate::drawing::scene::Scene;
 use crate::drawing::terminal::{self, Mark, Screen};
 use crate::exit_code;
@@ -34,7 +35,6 @@ const LEAST_WIDTH: usize = 8;
     after_help = "Examples:\n  zenav map show\n  zenav map watch\n  zenav map save kitchen          kitchen.yaml and kitchen.pgm, here\n  zenav map load kitchen.yaml\n  zenav map store                 the next start begins with it\n  zenav map convert den312d.map den312d.yaml"
 )]
 pub struct MapArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -77,7 +77,7 @@ enum MapCommand {
     /// Store a robot's map in mapping's data folder: for the next start, or under a name for `map load`
     Store {
         /// Name [default: the map that the next start loads]
-        #[arg(value_parser = connect::name, add = completion::stored_maps())]
+        #[arg(value_parser = arguments::name, add = completion::stored_maps())]
         name: Option<String>,
     },
     /// Start a new map; the robot stops for it, stored maps stay
@@ -166,15 +166,8 @@ impl Summary {
     }
 
     pub(super) fn line(&self) -> String {
-        let file = self
-            .file
-            .as_ref()
-            .map(|file| format!("{}: ", file.display()))
-            .unwrap_or_default();
-        let revision = self
-            .revision
-            .map(|revision| format!(", revision {revision}"))
-            .unwrap_or_default();
+        let file = output::piece(self.file.as_ref(), |file| format!("{}: ", file.display()));
+        let revision = output::piece(self.revision, |revision| format!(", revision {revision}"));
         format!(
             "{file}{} x {} cells of {} m{revision}, {} occupied, {} free, {} unknown",
             self.width, self.height, self.resolution, self.occupied, self.free, self.unknown

@@ -7,7 +7,7 @@
 //! | `map`, `convert`, `build` | maps: save, show, watch, convert, build from logs |
 //! | `map_control` | which map does a robot drive by? load, store, hold |
 //! | `bt` | behaviour trees: validate, draw, watch, simulate |
-//! | `doctor`, `diagnosis`, `hosts`, `check` | is the deployment complete and healthy? |
+//! | `doctor`, `diagnosis`, `check` | is the deployment complete and healthy? |
 //! | `logs` | what did the parts log last? |
 //! | `ps`, `parts` | which parts run where, in which version, with which load? |
 
@@ -18,7 +18,6 @@ mod check;
 mod convert;
 mod diagnosis;
 mod doctor;
-mod hosts;
 mod listen;
 mod logs;
 mod map;

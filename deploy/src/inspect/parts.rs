@@ -9,7 +9,6 @@ use zenav_protocol::messages::{InfoReply, InfoRequest, ProcessInfo};
 use zenav_protocol::topics;
 
 use crate::connect::{self, LinkArgs};
-use crate::exit_code;
 use crate::failure::Failure;
 
 /// Longest wait for answers.
@@ -170,16 +169,13 @@ pub(super) fn only_robots_answer(parts: &[PartStatus]) -> bool {
 /// does not admit finds nothing, as if nothing ran.
 ///
 /// # Errors
-/// [`exit_code::TIMEOUT`].
+/// [`exit_code::TIMEOUT`](crate::exit_code::TIMEOUT).
 pub(crate) fn check_admitted(link: &LinkArgs, somebody_answers: bool) -> Result<(), Failure> {
     match &link.identity.identity {
-        Some(folder) if !somebody_answers => Err(Failure::new(
-            exit_code::TIMEOUT,
-            format!(
-                "nobody answers the identity {}, not even the router: {NOT_ADMITTED}",
-                folder.display()
-            ),
-        )),
+        Some(folder) if !somebody_answers => Err(Failure::timeout(format!(
+            "nobody answers the identity {}, not even the router: {NOT_ADMITTED}",
+            folder.display()
+        ))),
         _ => Ok(()),
     }
 }
@@ -285,7 +281,7 @@ pub(super) mod tests {
         let (open, known) = (link(&[]), link(&["--identity", "issued/viewer.wall"]));
         assert!(check_admitted(&open, false).is_ok() && check_admitted(&known, true).is_ok());
         let failure = check_admitted(&known, false).unwrap_err();
-        assert_eq!(failure.code, exit_code::TIMEOUT);
+        assert_eq!(failure.code, crate::exit_code::TIMEOUT);
         assert!(
             failure.message.contains("issued/viewer.wall") && failure.message.contains("members.txt"),
             "{failure}"

@@ -58,7 +58,6 @@ fn json(value: Cbor) -> Result<Value, String> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use zenav_protocol::messages::Tile;
 

@@ -157,7 +157,7 @@ pub fn schema(args: &SchemaArgs) -> Outcome {
         name.eq_ignore_ascii_case(wanted) || (wanted.contains('/') && described.keys.iter().any(by_key))
     };
     let Some((_, described)) = all.0.iter().find(is_meant) else {
-        let perhaps = output::perhaps(wanted, all.0.keys().copied(), 4);
+        let perhaps = output::perhaps(wanted, all.0.keys().copied());
         return Err(Failure::not_found(format!(
             "no message `{wanted}`{perhaps} (`zenav schema --list` lists all)"
         )));
@@ -169,7 +169,6 @@ pub fn schema(args: &SchemaArgs) -> Outcome {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

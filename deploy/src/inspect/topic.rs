@@ -10,8 +10,9 @@ use zenav_protocol::topics::{self, Qos, Row, TABLE};
 use super::ask::{PubArgs, no_leading_slash, publish, whole};
 use super::listen::{EchoArgs, ListenArgs, bw_line, echo, hz_line, listen, measure};
 use super::meter::{Reading, bytes};
+use crate::arguments::{positive, seconds};
 use crate::completion;
-use crate::connect::{self, RobotArgs, positive, seconds};
+use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -22,7 +23,6 @@ use crate::output::{self, Format};
     after_help = "Examples:\n  zenav topic list\n  zenav topic echo edge/pose --count 1\n  zenav topic echo edge/state --field velocity.v\n  zenav topic hz edge/scan --for 5\n  zenav topic info goal\n  zenav topic list --table       all keys with their messages"
 )]
 pub struct TopicArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -120,7 +120,7 @@ pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure
         let names: BTreeSet<&str> = TABLE.iter().filter(|row| row.qos.is_some()).map(row_name).collect();
         Failure::not_found(format!(
             "no topic `{text}`: there are {} (or give a key, such as zenav/*/edge/pose)",
-            Vec::from_iter(names).join(", ")
+            output::listed(names)
         ))
     })?;
     Ok(topics::alive_key(row.pattern, &[robot]))
@@ -251,7 +251,6 @@ async fn info(bus: &Bus, key: &str, robot: Option<&str>, format: Format) -> Outc
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -115,7 +115,6 @@ fn item(form: &Value, index: usize) -> impl Iterator<Item = &Value> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use serde_json::json;
 

@@ -159,14 +159,9 @@ impl Fleet {
                 )));
             }
         };
-        let path = self.folder.join(REVOKED);
-        let mut text = match path.exists() {
-            true => fs::read_to_string(&path).map_err(Failure::failed_at(&path))?,
-            false => String::new(),
-        };
         let now = OffsetDateTime::now_utc().format(&Rfc3339).map_err(Failure::failed)?;
-        text.push_str(&format!("{member} {serial} {now}\n"));
-        write(&path, &text)?;
+        let text = self.list(REVOKED)? + &format!("{member} {serial} {now}\n");
+        write(&self.folder.join(REVOKED), &text)?;
         self.tell_members()?;
         Ok(true)
     }
@@ -198,30 +193,31 @@ impl Fleet {
         Ok(issued)
     }
 
-    fn revoked(&self) -> Result<Vec<Member>, Failure> {
-        let path = self.folder.join(REVOKED);
-        if !path.exists() {
-            return Ok(Vec::new());
+    /// Text of a list in the fleet's folder; empty if there is none yet.
+    fn list(&self, name: &str) -> Result<String, Failure> {
+        let path = self.folder.join(name);
+        match path.exists() {
+            true => fs::read_to_string(&path).map_err(Failure::failed_at(&path)),
+            false => Ok(String::new()),
         }
-        let text = fs::read_to_string(&path).map_err(Failure::failed_at(&path))?;
-        let names = text.lines().filter_map(|line| line.split_whitespace().next());
-        names
-            .map(|name| name.parse().map_err(Failure::failed_at(&path)))
+    }
+
+    /// Members in a list, one per line, of which `name_in` takes the name.
+    fn listed(&self, list: &str, name_in: fn(&str) -> &str) -> Result<BTreeSet<Member>, Failure> {
+        let (text, path) = (self.list(list)?, self.folder.join(list));
+        let lines = text.lines().map(str::trim);
+        let lines = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
+        lines
+            .map(|line| name_in(line).parse().map_err(Failure::failed_at(&path)))
             .collect()
     }
 
-    /// Members listed in the fleet's `members.txt`.
+    fn revoked(&self) -> Result<BTreeSet<Member>, Failure> {
+        self.listed(REVOKED, |line| line.split_whitespace().next().unwrap_or(line))
+    }
+
     fn members(&self) -> Result<BTreeSet<Member>, Failure> {
-        let path = self.folder.join(MEMBERS);
-        if !path.exists() {
-            return Ok(BTreeSet::new());
-        }
-        let text = fs::read_to_string(&path).map_err(Failure::failed_at(&path))?;
-        let lines = text.lines().map(str::trim);
-        let names = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
-        names
-            .map(|name| name.parse().map_err(Failure::failed_at(&path)))
-            .collect()
+        self.listed(MEMBERS, |line| line)
     }
 
     /// Writes the list of members to the folders of all that listen: every member issued, also if its files were moved away since, and not
@@ -285,7 +281,6 @@ fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

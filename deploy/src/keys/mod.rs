@@ -17,7 +17,7 @@ use time::OffsetDateTime;
 use time::format_description::well_known::Rfc3339;
 use zenav_protocol::member::Member;
 
-use crate::connect::positive;
+use crate::arguments::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -49,10 +49,9 @@ pub(crate) fn unusable(dir: &Path, identity: &str, names: &[String]) -> Option<S
         Some(format!("has expired: {renewed}` renews it"))
     } else if !lacking.is_empty() {
         let hosts: String = names.iter().map(|name| format!(" --host {name}")).collect();
-        let lacking: Vec<&str> = lacking.into_iter().map(String::as_str).collect();
         Some(format!(
             "does not serve {}, where it is dialled: {renewed}{hosts}` adds it",
-            lacking.join(", ")
+            output::listed(lacking)
         ))
     } else {
         None
@@ -210,15 +209,13 @@ pub fn run(args: &KeysArgs) -> Outcome {
                 crate::output::note(format_args!("{member} was revoked before"));
                 return Ok(exit_code::OK);
             }
-            let listens: Vec<String> = fleet
-                .issued()?
-                .into_iter()
-                .filter(|issued| issued.member.role.listens() && !issued.is_revoked)
-                .map(|issued| issued.member.to_string())
-                .collect();
+            let issued = fleet.issued()?;
+            let listens = issued
+                .iter()
+                .filter(|issued| issued.member.role.listens() && !issued.is_revoked);
             crate::output::note(format_args!(
                 "{member} is revoked. Copy members.txt to the machines of {}: two seconds later a router lets it in no more, and a robot comes to rest and starts anew",
-                listens.join(", ")
+                output::listed(listens.map(|issued| &issued.member))
             ));
         }
         KeysCommand::List { output } => {
@@ -249,7 +246,6 @@ pub fn make(folder: &Path, member: &str) -> Result<PathBuf, Failure> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

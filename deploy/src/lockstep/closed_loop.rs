@@ -206,11 +206,7 @@ pub struct RobotLoop {
 
 impl RobotLoop {
     fn new(config: ClosedLoopConfig) -> Self {
-        let map = MapRef {
-            id: "lockstep".to_owned(),
-            revision: 0,
-            frame: 0,
-        };
+        let map = MapRef::new("lockstep", 0);
         let mapper = match &config.known_map {
             Some(grid) => Mapper::with_stored(config.mapping, map, grid, Vec::new(), 0),
             None => Mapper::new(config.mapping, map.id),
@@ -363,44 +359,39 @@ impl RobotLoop {
             Effect::Plan(plan) => self.down.send(now, Down::Plan(plan)),
             Effect::Goal(goal) => self.goal = Some(*goal),
             Effect::Reply(_, reply) => self.replies.push(reply),
-            Effect::Ask(ticket, ask) => {
-                let request = match ask {
-                    Ask::Lease(request) => EdgeRequest::Lease(request),
-                    Ask::EdgeInfo(request) => EdgeRequest::Info(request),
-                    Ask::Behaviour(request) => EdgeRequest::Behaviour(request),
-                    Ask::Motion(request) => {
-                        let answer = self.motion_answer(&request);
-                        return self.inputs.answers.push((ticket, answer));
-                    }
-                    Ask::Remote(server, _) => {
-                        let answer = Err(NoAnswer::Silent(format!(
-                            "a run in lockstep has no network for {server}"
-                        )));
-                        return self.inputs.answers.push((ticket, answer));
-                    }
-                    Ask::Localise(request) => {
-                        let told = match request.action {
-                            LocaliseAction::Global => self.mapping.look_everywhere(),
-                            LocaliseAction::Report | LocaliseAction::At => Ok(None),
-                        };
-                        let health = self.mapping.health();
-                        if let Ok(Some(localisation)) = &told {
-                            self.localised(now, localisation.clone());
-                        }
-                        let answer = told.map(|_| Answer::Localised(LocaliseReply { health }));
-                        let answer = answer.map_err(NoAnswer::Refused);
-                        return self.inputs.answers.push((ticket, answer));
-                    }
-                    Ask::Map(request) => {
-                        let answer = self.map_answer(&request);
-                        return self.inputs.answers.push((ticket, Ok(answer)));
-                    }
-                };
-                self.down.send(now, Down::Request(ticket, request));
-            }
+            Effect::Ask(ticket, ask) => self.ask_of_mission(ticket, ask),
             // A lockstep run stores nothing, and nobody watches it.
             Effect::Persist(_) | Effect::Status(_) | Effect::StandBy => {}
         }
+    }
+
+    /// Passes a request of the mission to the robot, or answers it for the next step.
+    fn ask_of_mission(&mut self, ticket: zenav_mission::Ticket, ask: Ask) {
+        let mut to_edge = |request| self.down.send(self.now, Down::Request(ticket, request));
+        let answer = match ask {
+            Ask::Lease(request) => return to_edge(EdgeRequest::Lease(request)),
+            Ask::EdgeInfo(request) => return to_edge(EdgeRequest::Info(request)),
+            Ask::Behaviour(request) => return to_edge(EdgeRequest::Behaviour(request)),
+            Ask::Motion(request) => self.motion_answer(&request),
+            Ask::Localise(request) => self.localise_answer(request.action),
+            Ask::Map(request) => Ok(self.map_answer(&request)),
+            Ask::Remote(server, _) => Err(NoAnswer::Silent(format!(
+                "a run in lockstep has no network for {server}"
+            ))),
+        };
+        self.inputs.answers.push((ticket, answer));
+    }
+
+    fn localise_answer(&mut self, action: LocaliseAction) -> Result<Answer, NoAnswer> {
+        let found = match action {
+            LocaliseAction::Global => self.mapping.look_everywhere().map_err(NoAnswer::Refused)?,
+            LocaliseAction::Report | LocaliseAction::At => None,
+        };
+        let health = self.mapping.health();
+        if let Some(localisation) = found {
+            self.localised(self.now, localisation);
+        }
+        Ok(Answer::Localised(LocaliseReply { health }))
     }
 
     fn motion_answer(&mut self, request: &MotionRequest) -> Result<Answer, NoAnswer> {

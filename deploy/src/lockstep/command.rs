@@ -9,7 +9,6 @@ use serde::Serialize;
 use zenav_cloud::mapping::PoseSource;
 use zenav_mission::GOAL_TOLERANCE;
 use zenav_protocol::config_text::Number;
-use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_sim::World;
@@ -17,13 +16,13 @@ use zenav_sim::World;
 use super::recorder::Recorder;
 use super::referee::{ContactKind, ContactReport};
 use super::scenario::{Entrant, Scenario};
+use crate::arguments::{finite, not_negative, pose, whole};
 use crate::completion;
 use crate::config::Layers;
-use crate::connect::{finite, not_negative, pose, whole};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::output::{Format, counted, value};
+use crate::output::{Format, counted, piece, value};
 use crate::report::{energy, least_clearance};
 
 /// Arguments of `zenav run`.
@@ -249,8 +248,7 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
             GOAL_TOLERANCE.end()
         )));
     }
-    let mut starts = args.start.chunks_exact(3);
-    starts.try_for_each(|start| pose("--start", start).map(drop))
+    Ok(())
 }
 
 /// One robot per goal.
@@ -267,16 +265,15 @@ fn entrants(args: &RunArgs) -> Result<Vec<Entrant<'_>>, Failure> {
             "--start: given {starts} times for {count} goals; expected once for each goal"
         )));
     }
-    let mut starts = args
-        .start
-        .chunks_exact(3)
-        .map(|start| Pose2::new(start[0], start[1], start[2]));
-    let entrants = goals.enumerate().map(|(index, goal)| Entrant {
-        robot: args.robot.get(index).or(args.robot.first()).map(String::as_str),
-        start: starts.next(),
-        goal,
+    let mut starts = args.start.chunks_exact(3).map(|start| pose("--start", start));
+    let entrants = goals.enumerate().map(|(index, goal)| -> Result<_, Failure> {
+        Ok(Entrant {
+            robot: args.robot.get(index).or(args.robot.first()).map(String::as_str),
+            start: starts.next().transpose()?,
+            goal,
+        })
     });
-    Ok(entrants.collect())
+    entrants.collect()
 }
 
 /// Refuses goals outside of the world.
@@ -320,11 +317,7 @@ fn text(report: &RunReport) -> String {
     let mut lines = vec![format!(
         "{:?}{} after {:.2} s, {:.2} m driven, {}, error {:.3} m, {}, {}, {}, {}",
         report.outcome,
-        report
-            .reason
-            .as_ref()
-            .map(|reason| format!(" ({reason})"))
-            .unwrap_or_default(),
+        piece(report.reason.as_ref(), |reason| format!(" ({reason})")),
         report.time_s,
         report.length_m,
         least_clearance(report.min_clearance_m),
@@ -342,10 +335,7 @@ fn text(report: &RunReport) -> String {
         "the estimate is off by {:.3} m and {:.3} rad{}",
         report.pose_error_m,
         report.pose_error_rad,
-        report
-            .cpu_s
-            .map(|cpu| format!("; {cpu:.2} s of processor time"))
-            .unwrap_or_default()
+        piece(report.cpu_s, |cpu| format!("; {cpu:.2} s of processor time"))
     ));
     lines.extend(report.contacts.iter().map(|contact| {
         let kind = match contact.kind {
@@ -363,7 +353,6 @@ fn text(report: &RunReport) -> String {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
     #[test]

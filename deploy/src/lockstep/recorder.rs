@@ -19,7 +19,6 @@ use crate::failure::Failure;
 use crate::record::{Kind, RecordOptions, RecordWriter, Sample, TITLE_ENTRY, Written};
 
 /// Writes the record of a run.
-#[derive(Debug)]
 pub(crate) struct Recorder {
     writer: RecordWriter,
     now: Stamp,
@@ -154,13 +153,8 @@ impl Recorder {
         }
         let written = encoded.map_err(Failure::failed).and_then(|bytes| {
             let sample = Sample {
-                key,
-                encoding: encoding.mime().to_owned(),
-                kind,
-                bytes,
-                attachment: None,
-                logged: self.now.0,
                 published: (kind == Kind::Put).then_some(self.now.0),
+                ..Sample::new(key, kind, encoding, bytes, self.now.0)
             };
             Ok(self.writer.write(&sample)?)
         });
@@ -181,7 +175,6 @@ macro_rules! reading {
 zenav_protocol::sensor_kinds!(reading []);
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use zenav_cloud::mapping::PoseSource;
@@ -197,22 +190,12 @@ mod tests {
 
     /// A drive that takes some seconds.
     fn drive(world: &World) -> Scenario<'_> {
-        Scenario {
-            world,
-            entrants: vec![Entrant {
-                robot: Some("tiago"),
-                start: None,
-                goal: Point2::new(0.88, 0.09),
-            }],
-            seed: Some(1),
-            known_map: false,
-            poses: None,
-            zones: None,
-            cloud_delay_ms: 100.0,
-            tolerance: None,
-            profile: None,
-            timeout: 60.0,
-        }
+        let entrant = Entrant {
+            robot: Some("tiago"),
+            start: None,
+            goal: Point2::new(0.88, 0.09),
+        };
+        Scenario::of(world, vec![entrant], 60.0)
     }
 
     #[test]

@@ -143,7 +143,6 @@ impl Referee {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
     use crate::files;
     use zenav_protocol::id::Id;

@@ -150,6 +150,23 @@ impl Prepared<'_> {
 }
 
 impl<'a> Scenario<'a> {
+    /// A scenario of the first seed, otherwise with the deployment's values.
+    #[cfg(test)]
+    pub(super) fn of(world: &'a World, entrants: Vec<Entrant<'a>>, timeout: f64) -> Self {
+        Self {
+            world,
+            entrants,
+            seed: Some(1),
+            known_map: false,
+            poses: None,
+            zones: None,
+            cloud_delay_ms: 100.0,
+            tolerance: None,
+            profile: None,
+            timeout,
+        }
+    }
+
     /// Reads and checks all inputs.
     ///
     /// # Errors
@@ -418,7 +435,6 @@ pub(crate) fn true_map(world: &World, resolution: f64) -> Result<OccupancyGrid, 
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
     #[test]
@@ -431,18 +447,8 @@ mod tests {
             start: Some(Pose2::new(from, 1.0, yaw)),
             goal: Point2::new(7.0 - from, 1.0),
         };
-        let scenario = Scenario {
-            world: &world,
-            entrants: vec![entrant(1.0, 0.0), entrant(6.0, std::f64::consts::PI)],
-            seed: Some(1),
-            known_map: false,
-            poses: None,
-            zones: None,
-            cloud_delay_ms: 100.0,
-            tolerance: None,
-            profile: None,
-            timeout: 12.0,
-        };
+        let entrants = vec![entrant(1.0, 0.0), entrant(6.0, std::f64::consts::PI)];
+        let scenario = Scenario::of(&world, entrants, 12.0);
         let layers = Layers::load(None).unwrap();
         let run = || -> Vec<(RunOutcome, f64, u32)> {
             let reports = scenario.prepare(&layers).unwrap().run(None, |_, _, _| {});
@@ -475,16 +481,8 @@ mod tests {
             goal: Point2::new(6.0, 2.5),
         };
         let scenario = Scenario {
-            world: &world,
-            entrants: vec![entrant],
-            seed: Some(1),
-            known_map: false,
-            poses: None,
-            zones: None,
-            cloud_delay_ms: 100.0,
             tolerance: Some(0.25),
-            profile: None,
-            timeout: 150.0,
+            ..Scenario::of(&world, vec![entrant], 150.0)
         };
         let reports = scenario.prepare(&layers).unwrap().run(None, |_, _, _| {});
         let (touched, reason) = (reports[0].collisions, reports[0].reason.as_deref().unwrap_or_default());

@@ -75,7 +75,7 @@ pub struct NetemArgs {
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
     /// Seed of jitter and stalls
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = crate::connect::whole::<u64>)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = crate::arguments::whole::<u64>)]
     seed: u64,
 }
 
@@ -282,12 +282,11 @@ fn address(text: &str) -> Result<String, String> {
         Some((protocol, _)) => Err(format!(
             "`{protocol}`: expected HOST:PORT or tcp/HOST:PORT, for only TCP passes here; links with an identity use UDP"
         )),
-        None => crate::connect::address(address),
+        None => crate::arguments::address(address),
     }
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

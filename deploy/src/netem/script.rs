@@ -157,7 +157,6 @@ pub(super) fn stall(text: &str) -> Result<(Duration, Option<Duration>), String> 
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

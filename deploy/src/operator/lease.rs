@@ -9,7 +9,8 @@ use zenav_protocol::messages::{EdgeState, LeaseAction, LeaseState, Link};
 use zenav_protocol::topics;
 
 use super::{holder, status};
-use crate::connect::{self, RobotArgs, positive};
+use crate::arguments::{self, positive};
+use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -20,14 +21,13 @@ use crate::output::{self, Format};
     after_help = "Examples:\n  zenav lease\n  zenav lease acquire --for 60    nobody else drives for a minute\n  zenav lease forget              after the disk of the only orchestrator was lost"
 )]
 pub struct LeaseArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     /// Name to command under [default: operator-USER]
-    #[arg(long, global = true, value_name = "NAME", value_parser = connect::name)]
+    #[arg(long, global = true, value_name = "NAME", value_parser = arguments::name)]
     holder: Option<String>,
     #[command(subcommand)]
     command: Option<LeaseCommand>,
@@ -96,26 +96,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
             output::value(args.output, &grant, |grant| {
                 format!("{} may command {} (epoch {})", grant.holder, grant.robot, grant.epoch)
             })?;
-            let mut states = bus.latest(&topics::STATE, &[&grant.robot])?;
-            let lost = async {
-                while let Some(state) = states.next().await {
-                    if let Some(why) = status::lost(&held.grant, &grant.holder, &state.message) {
-                        return why;
-                    }
-                }
-                "the bus was closed".to_owned()
-            };
-            let time = secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok());
-            if time.is_none() {
-                crate::output::note(format_args!("kept until Ctrl-C"));
-            }
-            let code = tokio::select! {
-                () = tokio::time::sleep(time.unwrap_or(Duration::MAX)) => exit_code::OK,
-                _ = tokio::signal::ctrl_c() => if time.is_some() { exit_code::INTERRUPTED } else { exit_code::OK },
-                why = lost => return Err(Failure::new(exit_code::REJECTED, why)),
-            };
-            held.release().await?;
-            Ok(code)
+            keep(&bus, held, &grant, *secs).await
         }
         Some(LeaseCommand::Release) => {
             let before = state(&bus, &robot, patience).await?;
@@ -153,15 +134,39 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
     })
 }
 
+/// Keeps a lease for so many seconds, or until Ctrl-C, and releases it.
+async fn keep(bus: &Bus, held: LeaseSession, grant: &Granted, secs: Option<f64>) -> Outcome {
+    let mut states = bus.latest(&topics::STATE, &[&grant.robot])?;
+    let lost = async {
+        while let Some(state) = states.next().await {
+            if let Some(why) = status::lost(&held.grant, &grant.holder, &state.message) {
+                return why;
+            }
+        }
+        "the bus was closed".to_owned()
+    };
+    let time = secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok());
+    if time.is_none() {
+        crate::output::note(format_args!("kept until Ctrl-C"));
+    }
+    let code = tokio::select! {
+        () = tokio::time::sleep(time.unwrap_or(Duration::MAX)) => exit_code::OK,
+        _ = tokio::signal::ctrl_c() => if time.is_some() { exit_code::INTERRUPTED } else { exit_code::OK },
+        why = lost => return Err(Failure::rejected(why)),
+    };
+    held.release().await?;
+    Ok(code)
+}
+
 /// The next state that the robot publishes.
 pub(super) async fn state(bus: &Bus, robot: &str, within: Duration) -> Result<EdgeState, Failure> {
     let mut states = bus.latest(&topics::STATE, &[robot])?;
     match tokio::time::timeout(within, states.next()).await {
         Ok(Some(received)) => Ok(received.message),
-        _ => Err(Failure::new(
-            exit_code::TIMEOUT,
-            format!("no state from {} in time", topics::STATE.key(&[robot])),
-        )),
+        _ => Err(Failure::timeout(format!(
+            "no state from {} in time",
+            topics::STATE.key(&[robot])
+        ))),
     }
 }
 

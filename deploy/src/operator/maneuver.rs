@@ -14,7 +14,8 @@ use zenav_protocol::topics;
 
 use super::ended;
 use super::holder;
-use crate::connect::{self, RobotArgs, finite, fresh_id, positive};
+use crate::arguments::{finite, positive};
+use crate::connect::{self, RobotArgs, fresh_id};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -30,7 +31,6 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(1000);
     after_help = "Examples:\n  zenav do spin 1.57          a quarter turn to the left\n  zenav do backup 0.3         30 cm backwards\n  zenav do drive 0.5 --speed 0.2\n  zenav do wait 5             keep the mission away for 5 s\n\nThe operator's lease is taken and given back; a mission waits meanwhile. Ctrl-C ends the maneuver: the robot brakes.\nExit codes: 0 done, 1 it failed (something stands in the way), 6 somebody ended it, 7 refused, 130 Ctrl-C."
 )]
 pub struct DoArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -122,10 +122,9 @@ pub fn maneuver(args: &DoArgs) -> Outcome {
     connect::on_robot(&args.robot, async |bus, robot| {
         let authority = Authority::acquire(&bus, &robot, &holder(), patience).await?;
         if authority.epoch.is_none() {
-            return Err(Failure::new(
-                exit_code::TIMEOUT,
-                format!("{robot} does not say how it is: its edge is away"),
-            ));
+            return Err(Failure::timeout(format!(
+                "{robot} does not say how it is: its edge is away"
+            )));
         }
         let execution = Execution {
             bus: &bus,
@@ -155,11 +154,7 @@ pub fn maneuver(args: &DoArgs) -> Outcome {
 }
 
 fn line(ended: &Ended) -> String {
-    let reason = ended
-        .reason
-        .as_ref()
-        .map(|reason| format!(": {reason}"))
-        .unwrap_or_default();
+    let reason = output::piece(ended.reason.as_ref(), |reason| format!(": {reason}"));
     format!("{} {:?}{reason} ({:.1} s)", ended.id, ended.state, ended.time_s)
 }
 
@@ -252,7 +247,6 @@ fn show(display: Option<&ProgressBar>, id: &str) {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

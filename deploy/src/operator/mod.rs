@@ -88,7 +88,7 @@ mod tests {
     fn every_user_commands_under_a_name_that_can_be_given_to_holder() {
         assert_eq!(holder_of("anna.m"), "operator-anna_m");
         for user in ["", "DOMAIN\\jürgen", &"x".repeat(100)] {
-            assert!(crate::connect::name(&holder_of(user)).is_ok(), "{user}");
+            assert!(crate::arguments::name(&holder_of(user)).is_ok(), "{user}");
         }
     }
 }

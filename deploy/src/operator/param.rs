@@ -10,14 +10,12 @@ use zenav_protocol::messages::{ParamRequest, Refusal};
 use zenav_protocol::topics;
 
 use super::holder;
+use crate::arguments::finite;
 use crate::completion;
-use crate::connect::{self, RobotArgs, finite};
+use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
-
-/// Largest edit distance between an unknown name and the known one that is suggested for it.
-const SLIPS: usize = 3;
 
 /// Parameters of a running robot.
 #[derive(Debug, clap::Args)]
@@ -25,7 +23,6 @@ const SLIPS: usize = 3;
     after_help = "Examples:\n  zenav param list\n  zenav param get heading_gain\n  zenav param set heading_gain 2.5\n\nWhat is set lasts until the edge restarts; the robot file keeps it for good."
 )]
 pub struct ParamArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -83,7 +80,7 @@ pub fn param(args: &ParamArgs) -> Outcome {
                 (Err(AskError::Refused(Refusal::NotFound { .. })), Some(name)) => {
                     let all = ParamRequest::default();
                     let known = bus.ask(&topics::PARAM, &[&robot], &all, patience).await?.params;
-                    let perhaps = output::perhaps(name, known.keys().map(String::as_str), SLIPS);
+                    let perhaps = output::perhaps(name, known.keys().map(String::as_str));
                     Err(Failure::not_found(format!(
                         "{robot} has no parameter `{name}`{perhaps} (`zenav param list --robot {robot}` lists all)"
                     )))
@@ -131,9 +128,6 @@ fn value_of(params: &BTreeMap<String, f64>, name: &str) -> Result<f64, Failure> 
 }
 
 fn table(params: &BTreeMap<String, f64>) -> String {
-    let rows: Vec<Vec<String>> = params
-        .iter()
-        .map(|(name, value)| vec![name.clone(), value.to_string()])
-        .collect();
-    output::table(&["PARAMETER", "VALUE"], &rows)
+    let rows = params.iter().map(|(name, value)| [name.clone(), value.to_string()]);
+    output::table(&["PARAMETER", "VALUE"], rows)
 }

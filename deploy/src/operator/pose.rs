@@ -12,6 +12,7 @@ use zenav_protocol::messages::{Health, LocaliseAction, LocaliseRequest, PoseEsti
 use zenav_protocol::topics;
 
 use super::holder;
+use crate::arguments;
 use crate::connect::{self, RobotArgs};
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -25,7 +26,6 @@ const TAKEN: (f64, f64) = (1.0, 0.6);
     after_help = "Examples:\n  zenav pose show\n  zenav pose set -1.0 -0.5 0     m, m, rad\n  zenav pose search              without a guess"
 )]
 pub struct PoseArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -42,7 +42,7 @@ enum PoseCommand {
     /// Set the robot's pose, to within some decimetres; the robot drops its plan and continues from there
     Set {
         /// Pose in the map: m, m, rad
-        #[arg(num_args = 3, value_names = ["X", "Y", "YAW"], required = true, value_parser = connect::finite)]
+        #[arg(num_args = 3, value_names = ["X", "Y", "YAW"], required = true, value_parser = arguments::finite)]
         pose: Vec<f64>,
     },
     /// Search for the robot in the whole map (with `mapping.poses = "localise"` or `"slam"`)

@@ -118,7 +118,6 @@ fn signed(value: f64) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::messages::{LeaseState, Link};
 

@@ -27,7 +27,6 @@ const STATE_WITHIN: Duration = Duration::from_millis(400);
     after_help = "Examples:\n  zenav stop\n  zenav stop --all\n  zenav stop --connect tcp/127.0.0.1:7450    on the robot's own endpoint: router and cloud may be gone\n  zenav resume"
 )]
 pub struct StopArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Every robot that is found
@@ -82,7 +81,7 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
             }
             return Ok(answers);
         }
-        let robot = match &args.robot.robot {
+        let (robot, answer) = match &args.robot.robot {
             // A named robot is asked at once, in parallel with looking it up.
             Some(robot) => {
                 let mut answer = std::pin::pin!(ask(&bus, robot));
@@ -95,14 +94,14 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
                         answer.await
                     }
                 };
-                if answer.is_ok() {
-                    warn_if_not_stored(&bus, robot).await;
-                }
-                return Ok(BTreeMap::from([(robot.clone(), answer)]));
+                (robot.clone(), answer)
             }
-            None => connect::find_or(&bus, None, |robots| both_ways(robots, stop)).await?,
+            None => {
+                let robot = connect::find_or(&bus, None, |robots| both_ways(robots, stop)).await?;
+                let answer = ask(&bus, &robot).await;
+                (robot, answer)
+            }
         };
-        let answer = ask(&bus, &robot).await;
         if answer.is_ok() {
             warn_if_not_stored(&bus, &robot).await;
         }
@@ -232,7 +231,7 @@ pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Resul
             Err(error) => failure = Some(Failure::failed(error.to_string())),
         }
     }
-    let silent = || Failure::new(exit_code::TIMEOUT, "no answer in time");
+    let silent = || Failure::timeout("no answer in time");
     Err(failure.filter(|_| links.is_empty()).unwrap_or_else(silent))
 }
 
@@ -245,7 +244,6 @@ async fn confirmed(bus: Bus, robot: String, request: StopRequest, within: Durati
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::bus::BusConfig;
 

@@ -21,7 +21,9 @@ use zenav_protocol::topics;
 use super::keyboard::{Command, Keyboard, command_of};
 use super::status::{self, OLD, View};
 use super::{ended, holder, stop};
-use crate::connect::{self, LinkArgs, RobotArgs, positive};
+use crate::arguments::positive;
+use crate::connect::{self, LinkArgs, RobotArgs};
+use crate::drawing;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 
@@ -45,7 +47,6 @@ const HELP: [&str; 2] = [
     after_help = "Examples:\n  zenav teleop\n  zenav teleop --robot anna --connect tcp/127.0.0.1:7450\n\nSpace takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R releases a stop. Ctrl-C leaves the robot stopped; `zenav resume` releases it. Escape gives control back and leaves without a stop."
 )]
 pub struct TeleopArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Top speed, m/s [default: the robot's]
@@ -317,11 +318,7 @@ impl Session {
     }
 
     fn draw(&self) {
-        // A window of size zero is one whose size is unknown.
-        let width = terminal::size()
-            .ok()
-            .filter(|(columns, _)| *columns > 0)
-            .map_or(80, |(columns, _)| usize::from(columns));
+        let width = drawing::terminal::size().map_or(80, |(columns, _)| columns);
         // Back to the start of the line, and clear its rest; one write, to avoid flicker.
         let line = format!("\r{}\x1b[K", status::cut(&self.status(), width));
         let _ = std::io::stderr().write_all(line.as_bytes());

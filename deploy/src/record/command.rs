@@ -7,12 +7,13 @@ use zenav_protocol::topics;
 
 use super::recorder::Recording;
 use super::writer::{RecordOptions, Written};
+use crate::arguments::{positive, seconds, whole_in};
 use crate::completion;
-use crate::connect::{self, RobotArgs, positive, seconds, whole_in};
+use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::inspect::pattern;
-use crate::output::{self, Format};
+use crate::output::{self, Format, listed};
 
 /// Arguments of `zenav record`.
 #[derive(Debug, clap::Args)]
@@ -33,7 +34,6 @@ pub struct RecordArgs {
     /// File to write; it must not exist yet
     #[arg(value_name = "OUT.mcap", value_parser = mcap)]
     out: PathBuf,
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Record every key on the bus, including those that are not zenav's
@@ -126,31 +126,25 @@ pub fn record(args: &RecordArgs) -> Outcome {
             _ => connect::tell_absence(&bus, robot).await,
         }
         let mut recording = Recording::start(&bus, &patterns, &args.out, options)?;
-        tracing::info!("recording {} into {}", patterns.join(", "), args.out.display());
-        let out_of_time = async {
-            match args.secs {
-                Some(secs) => tokio::time::sleep(seconds(secs)).await,
-                None => std::future::pending().await,
-            }
-        };
+        tracing::info!("recording {} into {}", listed(&patterns), args.out.display());
+        let time = seconds(args.secs.unwrap_or(f64::INFINITY));
         tokio::select! {
             written = recording.ended() => written,
             () = interrupted() => recording.finish().await,
-            () = out_of_time => recording.finish().await,
+            () = tokio::time::sleep(time) => recording.finish().await,
         }
     })?;
     output::value(args.output, &written, table)?;
     if written.messages == 0 {
-        return Err(Failure::new(
-            exit_code::TIMEOUT,
-            format!("nothing came on {}: the record is empty", patterns.join(", ")),
-        ));
+        return Err(Failure::timeout(format!(
+            "nothing came on {}: the record is empty",
+            listed(&patterns)
+        )));
     }
     match robot.filter(|robot| args.keys.is_empty() && !has_robot(&written, robot)) {
-        Some(robot) => Err(Failure::new(
-            exit_code::TIMEOUT,
-            format!("nothing came of robot `{robot}`: the record has none of its keys"),
-        )),
+        Some(robot) => Err(Failure::timeout(format!(
+            "nothing came of robot `{robot}`: the record has none of its keys"
+        ))),
         None => Ok(exit_code::OK),
     }
 }
@@ -185,48 +179,33 @@ fn table(written: &Written) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use clap::{CommandFactory as _, Parser};
-
     use super::*;
 
-    #[derive(Debug, Parser)]
-    struct Line {
-        #[command(flatten)]
-        args: RecordArgs,
+    fn parse(line: &str) -> Result<RecordArgs, clap::Error> {
+        crate::cli::parsed(&line.split(' ').collect::<Vec<_>>())
     }
 
     #[test]
     fn the_last_name_is_the_file_and_those_before_it_are_keys() {
-        Line::command().debug_assert();
         for (line, keys) in [
-            ("record run.mcap", &[][..]),
-            ("record --robot r --for 3 run.mcap", &[]),
-            ("record scan run.mcap", &["scan"]),
-            ("record --raw scan edge/pose run.mcap -o json", &["scan", "edge/pose"]),
+            ("run.mcap", &[][..]),
+            ("--robot r --for 3 run.mcap", &[]),
+            ("scan run.mcap", &["scan"]),
+            ("--raw scan edge/pose run.mcap -o json", &["scan", "edge/pose"]),
         ] {
-            let args = Line::try_parse_from(line.split(' ')).unwrap().args;
-            assert_eq!(
-                (args.keys.as_slice(), args.out),
-                (
-                    &keys.iter().map(|key| (*key).to_owned()).collect::<Vec<_>>()[..],
-                    PathBuf::from("run.mcap")
-                ),
-                "{line}"
-            );
+            let args = parse(line).unwrap();
+            assert_eq!(args.keys, keys, "{line}");
+            assert_eq!(args.out, PathBuf::from("run.mcap"), "{line}");
         }
-        assert!(Line::try_parse_from(["record"]).is_err());
-        let error = Line::try_parse_from(["record", "scan", "pose"])
-            .unwrap_err()
-            .to_string();
+        assert!(crate::cli::parsed::<RecordArgs>(&[]).is_err());
+        let error = parse("scan pose").unwrap_err().to_string();
         assert!(error.contains("ends with .mcap"), "{error}");
-        assert!(Line::try_parse_from(["record", "--all", "scan", "run.mcap"]).is_err());
+        assert!(parse("--all scan run.mcap").is_err());
         // Only a record that is split has files to delete.
-        let parse = |line: &str| Line::try_parse_from(line.split(' '));
-        assert!(parse("record --max-files 3 run.mcap").is_err());
-        assert!(parse("record --max-files 0 --max-size 1MB run.mcap").is_err());
-        let args = parse("record --max-files 3 --max-duration 60 run.mcap").unwrap().args;
+        assert!(parse("--max-files 3 run.mcap").is_err());
+        assert!(parse("--max-files 0 --max-size 1MB run.mcap").is_err());
+        let args = parse("--max-files 3 --max-duration 60 run.mcap").unwrap();
         assert_eq!(args.max_files, Some(3));
     }
 

@@ -199,9 +199,7 @@ fn figures(a: Option<&RobotRun>, b: Option<&RobotRun>) -> Vec<Figure> {
     let mut figures = vec![
         figure("path", "m", &|run| Some(run.length)),
         figure("time", "s", &|run| Some(run.secs)),
-        figure("mean speed", "m/s", &|run| {
-            (run.secs > 0.0).then(|| run.length / run.secs)
-        }),
+        figure("mean speed", "m/s", &RobotRun::mean_speed),
         figure("top speed", "m/s", &|run| Some(run.top_speed())),
         figure("least clearance", "m", &RobotRun::least_clearance),
         figure("plans", "", &|run| Some(run.plans as f64)),
@@ -331,7 +329,6 @@ fn table(comparison: &Comparison) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Pose2;
 

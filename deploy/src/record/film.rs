@@ -18,7 +18,7 @@ use super::run::Run;
 use super::run_clock::RunClock;
 use crate::drawing::canvas::Canvas;
 use crate::drawing::film::encode;
-use crate::drawing::plane::{PANEL, around};
+use crate::drawing::plane::{PANEL, around, points_of, returns_of};
 use crate::drawing::scene::Scene;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -154,15 +154,9 @@ impl Film {
             (None, [only]) => only,
             (None, [_, _, ..]) => return Err(Failure::usage(format!("--robot: one of {}", names.join(", ")))),
             _ => {
-                return Err(Failure::not_found(format!(
-                    "{}: no such robot in the record; it has {}",
-                    path.display(),
-                    if names.is_empty() {
-                        "none".to_owned()
-                    } else {
-                        names.join(", ")
-                    }
-                )));
+                let known = if names.is_empty() { "none" } else { &names.join(", ") };
+                let told = format!("{}: no such robot in the record; it has {known}", path.display());
+                return Err(Failure::not_found(told));
             }
         };
         let robot = run
@@ -231,17 +225,14 @@ impl Film {
                 self.trail.push(at);
             }
         } else if let Some((_, scan)) = sample.message(&topics::SCAN) {
-            let laser = scan.map_from_laser();
-            now.scan = scan.returns().map(|point| laser.transform_point(point)).collect();
+            now.scan = returns_of(&scan);
         } else if let Some((_, plan)) = sample.message(&topics::PLAN) {
             // A plan is renewed once more after its end was reached.
             if self.finished == Some(plan.trajectory_id) {
                 return;
             }
             self.trajectory = Some(plan.trajectory_id);
-            let points: Vec<Point2<f64>> = plan.trajectory.iter().map(|point| point.position()).collect();
-            // A plan without a time law has only waypoints.
-            now.plan = Arc::new(if points.is_empty() { plan.waypoints } else { points });
+            now.plan = Arc::new(points_of(&plan));
         } else if let Some((_, goal)) = sample.message(&topics::GOAL_STATE) {
             let runs = matches!(goal.state, GoalPhase::Active | GoalPhase::Paused);
             // Others wait, or end, meanwhile.

@@ -93,6 +93,20 @@ pub struct Sample {
 }
 
 impl Sample {
+    /// A sample that arrived at `logged`, without an attachment and without a timestamp of its publisher.
+    #[must_use]
+    pub fn new(key: String, kind: Kind, encoding: Encoding, bytes: Vec<u8>, logged: u64) -> Self {
+        Self {
+            key,
+            encoding: encoding.mime().to_owned(),
+            kind,
+            bytes,
+            attachment: None,
+            logged,
+            published: None,
+        }
+    }
+
     /// The robot's name and the message, if this is a value of that topic that can be decoded.
     #[must_use]
     pub fn message<T>(&self, topic: &Topic<T>) -> Option<(String, T)> {

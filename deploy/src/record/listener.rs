@@ -30,7 +30,7 @@ struct Timeline {
 }
 
 impl Timeline {
-    fn now() -> Self {
+    fn begin() -> Self {
         let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Self {
             began: Instant::now(),
@@ -38,7 +38,12 @@ impl Timeline {
         }
     }
 
-    /// ns since the UNIX epoch.
+    /// Current time, ns since the UNIX epoch.
+    fn now(&self) -> u64 {
+        self.at(Instant::now())
+    }
+
+    /// Time of an instant, ns since the UNIX epoch.
     fn at(&self, instant: Instant) -> u64 {
         self.unix + nanos(instant.saturating_duration_since(self.began))
     }
@@ -77,7 +82,7 @@ impl Listener {
     pub fn new(bus: &Bus, patterns: &[String]) -> Result<Self, Failure> {
         patterns.iter().try_for_each(|pattern| bus.check(Act::Hear, pattern))?;
         Ok(Self {
-            timeline: Timeline::now(),
+            timeline: Timeline::begin(),
             tap: bus.tap(patterns, BACKLOG)?,
             bus: bus.clone(),
             questions: JoinSet::new(),
@@ -117,7 +122,7 @@ impl Listener {
     /// Current time on the clock of the samples, ns since the UNIX epoch.
     #[must_use]
     pub fn now(&self) -> u64 {
-        self.timeline.at(Instant::now())
+        self.timeline.now()
     }
 
     /// Number of samples dropped because they were not taken in time.
@@ -179,7 +184,7 @@ impl Listener {
             };
             let replies = told.unwrap_or_default().into_iter().filter_map(|(key, info)| {
                 let bytes = codec::encode(&info, Encoding::Json).ok()?;
-                Some(reply(key, Encoding::Json, bytes, timeline))
+                Some(Sample::new(key, Kind::Reply, Encoding::Json, bytes, timeline.now()))
             });
             let replies: Vec<Sample> = replies.collect();
             if replies.is_empty() { Err(topic) } else { Ok(replies) }
@@ -205,7 +210,8 @@ impl Listener {
                 let map = bus.ask(&topics::MAP, &[&robot], &request, PATIENCE).await;
                 let map = map.ok().and_then(|map| codec::encode(&map, Encoding::Cbor).ok());
                 let key = topics::MAP.key(&[&robot]);
-                let replies = map.map(|bytes| reply(key, Encoding::Cbor, bytes, timeline));
+                let reply = |bytes| Sample::new(key, Kind::Reply, Encoding::Cbor, bytes, timeline.now());
+                let replies = map.map(reply);
                 Ok(replies.into_iter().collect())
             }));
         }
@@ -227,16 +233,4 @@ impl Listener {
 fn part(answer: Answer<InfoReply>) -> Option<(String, InfoReply)> {
     let chunks: Vec<&str> = answer.chunks.iter().map(String::as_str).collect();
     Some((topics::PART_INFO.key(&chunks), answer.result.ok()?))
-}
-
-fn reply(key: String, encoding: Encoding, bytes: Vec<u8>, timeline: Timeline) -> Sample {
-    Sample {
-        key,
-        encoding: encoding.mime().to_owned(),
-        kind: Kind::Reply,
-        bytes,
-        attachment: None,
-        logged: timeline.at(Instant::now()),
-        published: None,
-    }
 }

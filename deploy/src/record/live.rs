@@ -52,7 +52,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
     after_help = "Examples:\n  zenav view\n  zenav view --goals --listen 127.0.0.1:0\n\nIn Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; then import the layout deploy/foxglove/zenav.json.\nWith --goals a pose that the 3D panel publishes on /goal becomes a goal: only where no page of another site is open in a browser here."
 )]
 pub struct ViewArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Loopback address to listen on; port 0 takes a free one
@@ -443,7 +442,6 @@ impl Pose {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -1,24 +1,25 @@
 //! Samples and messages that are made up for tests.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
+use std::path::Path;
 
 use serde::Serialize;
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::messages::Plan;
 
 use super::format::{Kind, Sample};
+use super::writer::{RecordOptions, RecordWriter};
 
 /// A message in JSON, published on a key, that arrived at a time, ns since the UNIX epoch.
 pub(super) fn sample(key: &str, message: &impl Serialize, logged: u64) -> Sample {
-    Sample {
-        key: key.to_owned(),
-        encoding: Encoding::Json.mime().to_owned(),
-        kind: Kind::Put,
-        bytes: codec::encode(message, Encoding::Json).unwrap(),
-        attachment: None,
-        logged,
-        published: None,
-    }
+    let bytes = codec::encode(message, Encoding::Json).unwrap();
+    Sample::new(key.to_owned(), Kind::Put, Encoding::Json, bytes, logged)
+}
+
+/// Writes a record of these samples.
+pub(super) fn record(path: &Path, samples: impl IntoIterator<Item = Sample>) {
+    let mut writer = RecordWriter::create(path, RecordOptions::default(), 5).unwrap();
+    samples.into_iter().for_each(|sample| writer.write(&sample).unwrap());
+    writer.finish(0).unwrap();
 }
 
 /// A plan for the goal `g`, without a path.

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use zenav_mapping::CellCounts;
 use zenav_protocol::codec::{self, Encoding};
-use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapInfo, MapRef, MapReply};
 use zenav_protocol::topics;
@@ -65,16 +66,10 @@ impl Maps {
     pub fn replies(&self, now: u64) -> Vec<Sample> {
         let known = self.robots.iter().filter(|(_, map)| map.replica.has_map());
         known
-            .filter_map(|(robot, _)| {
-                Some(Sample {
-                    key: topics::MAP.key(&[robot]),
-                    encoding: Encoding::Cbor.mime().to_owned(),
-                    kind: Kind::Reply,
-                    bytes: codec::encode(&self.reply(robot)?, Encoding::Cbor).ok()?,
-                    attachment: None,
-                    logged: now,
-                    published: None,
-                })
+            .filter_map(|(robot, map)| {
+                let bytes = codec::encode(&reply(&map.replica), Encoding::Cbor).ok()?;
+                let key = topics::MAP.key(&[robot]);
+                Some(Sample::new(key, Kind::Reply, Encoding::Cbor, bytes, now))
             })
             .collect()
     }
@@ -82,15 +77,15 @@ impl Maps {
 
 fn reply(map: &MapReplica) -> MapReply {
     let values = map.grid().values();
-    let count = |class| values.iter().filter(|value| Occupancy::of(**value) == class).count() as u64;
+    let counts = CellCounts::of(values);
     MapReply {
         info: MapInfo {
             stamp: map.stamp(),
             map: map.map().clone(),
             spec: *map.grid().spec(),
-            free: count(Occupancy::Free),
-            occupied: count(Occupancy::Occupied),
-            unknown: count(Occupancy::Unknown),
+            free: counts.free,
+            occupied: counts.occupied,
+            unknown: counts.unknown,
             scans: 0,
             stored: false,
         },

@@ -53,5 +53,5 @@ pub use recompute::{MapVerdict, MotionVerdict, Recomputable, Recomputed, Uncompa
 pub use recorder::Recording;
 pub use replay::{ReplayArgs, replay};
 pub use report::{ReportArgs, report, write_report};
-pub(crate) use run::{node_status, status_at_end};
+pub(crate) use run::{node_status, status_at_end, with_depths};
 pub use writer::{RecordOptions, RecordWriter, Written};

@@ -41,14 +41,6 @@ pub struct RecordReader {
     ended: bool,
 }
 
-impl std::fmt::Debug for RecordReader {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("RecordReader")
-            .field("path", &self.path)
-            .finish_non_exhaustive()
-    }
-}
-
 /// An attachment: kind, key and number of its sample, and its bytes.
 type Attached = (Kind, String, u32, Vec<u8>);
 
@@ -350,24 +342,20 @@ fn damaged(path: &Path, error: &McapError) -> RecordError {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use std::time::Duration;
 
     use zenav_protocol::codec::Encoding;
 
+    use super::super::made_up;
     use super::super::writer::{RecordOptions, RecordWriter};
     use super::*;
 
     fn sample(nth: u64, key: &str, bytes: &[u8]) -> Sample {
+        let logged = 1_000_000_000 + nth * 10_000_000;
         Sample {
-            key: key.to_owned(),
-            encoding: "application/json".to_owned(),
-            kind: Kind::Put,
-            bytes: bytes.to_vec(),
-            attachment: None,
-            logged: 1_000_000_000 + nth * 10_000_000,
             published: Some(7 + nth),
+            ..Sample::new(key.to_owned(), Kind::Put, Encoding::Json, bytes.to_vec(), logged)
         }
     }
 
@@ -395,13 +383,13 @@ mod tests {
         samples
     }
 
+    fn all(reader: &mut RecordReader) -> Result<Vec<Sample>, RecordError> {
+        std::iter::from_fn(|| reader.next_sample().transpose()).collect()
+    }
+
     fn read(path: &Path) -> Result<(Vec<Sample>, bool), RecordError> {
         let mut reader = RecordReader::open(path)?;
-        let mut samples = Vec::new();
-        while let Some(sample) = reader.next_sample()? {
-            samples.push(sample);
-        }
-        Ok((samples, reader.is_cut_off()))
+        Ok((all(&mut reader)?, reader.is_cut_off()))
     }
 
     fn problem(path: &Path) -> String {
@@ -479,16 +467,13 @@ mod tests {
         assert!(problem(&path).contains("ends before"));
         std::fs::write(&path, b"{\"this\": \"is JSON\"}").unwrap();
         assert!(problem(&path).contains("expected an MCAP file"));
-        let mut foreign = mcap::WriteOptions::new()
-            .profile("ros2")
-            .create(File::create(&path).unwrap())
-            .unwrap();
-        foreign.finish().unwrap();
+        let begin = |profile: &str| {
+            let options = mcap::WriteOptions::new().profile(profile);
+            options.create(File::create(&path).unwrap()).unwrap()
+        };
+        begin("ros2").finish().unwrap();
         assert!(problem(&path).contains("its profile is `ros2`"));
-        let mut later = mcap::WriteOptions::new()
-            .profile(PROFILE)
-            .create(File::create(&path).unwrap())
-            .unwrap();
+        let mut later = begin(PROFILE);
         let metadata = [(FORMAT_ENTRY.to_owned(), "99".to_owned())].into();
         let about = mcap::records::Metadata {
             name: ABOUT.to_owned(),
@@ -503,9 +488,7 @@ mod tests {
     fn a_damaged_file_is_an_error_and_never_a_panic() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
-        let mut writer = RecordWriter::create(&path, RecordOptions::default(), 5).unwrap();
-        run().iter().for_each(|sample| writer.write(sample).unwrap());
-        writer.finish(0).unwrap();
+        made_up::record(&path, run());
         let whole = std::fs::read(&path).unwrap();
         let bad = folder.path().join("bad.mcap");
         for place in (0..whole.len()).step_by(3) {
@@ -557,10 +540,7 @@ mod tests {
         for (nth, at) in (0..chunks.len()).flat_map(|nth| [(nth, 24), (nth, 43)]) {
             spoilt(&chunks[nth..=nth], at);
             let mut reader = RecordReader::open(&bad).unwrap();
-            let mut read = Vec::new();
-            while let Some(sample) = reader.next_sample().unwrap() {
-                read.push(sample);
-            }
+            let read = all(&mut reader).unwrap();
             let lost = 10 * nth..samples.len().min(10 * nth + 10);
             assert_eq!(
                 read,

@@ -18,8 +18,8 @@ use zenav_protocol::topics::{self, Qos};
 use super::format::{Kind, RecordError, Sample};
 use super::maps::Maps;
 use super::reader::RecordReader;
-use crate::connect::{self, LinkArgs, finite, positive, seconds};
-use crate::exit_code;
+use crate::arguments::{finite, positive, seconds};
+use crate::connect::{self, LinkArgs};
 use crate::failure::{Failure, Outcome};
 use crate::inspect::pattern;
 use crate::output::{self, Format};
@@ -43,7 +43,6 @@ pub struct ReplayArgs {
     /// Record to replay
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Connection.
     #[command(flatten)]
     link: LinkArgs,
     /// Recorded time relative to wall time
@@ -124,7 +123,7 @@ pub fn replay(args: &ReplayArgs) -> Outcome {
         tokio::select! {
             replayed = publish(&bus, args, &selection, &contents) => replayed,
             refusal = guard.until_one_comes() => Err(refusal),
-            () = interrupted() => Err(Failure::new(exit_code::INTERRUPTED, "interrupted")),
+            () = interrupted() => Err(Failure::interrupted()),
         }
     })?;
     output::value(args.output, &replayed, |replayed| {
@@ -265,13 +264,10 @@ impl Guard {
         }
         self.check()?;
         if clock.take().is_some() && self.keys.contains(&topics::SIM_CLOCK.key(&[])) && !self.allowed {
-            return Err(Failure::new(
-                exit_code::REJECTED,
-                format!(
-                    "a simulation gives the time on this bus, and the record has another one ({}): leave it out by --keys, use another router, or say --to-live-robot",
-                    topics::SIM_CLOCK.key(&[])
-                ),
-            ));
+            return Err(Failure::rejected(format!(
+                "a simulation gives the time on this bus, and the record has another one ({}): leave it out by --keys, use another router, or say --to-live-robot",
+                topics::SIM_CLOCK.key(&[])
+            )));
         }
         Ok(())
     }
@@ -294,16 +290,12 @@ impl Guard {
             return Ok(());
         }
         let robots: BTreeSet<&str> = refused.iter().filter_map(|key| key.split('/').nth(1)).collect();
-        let robots: Vec<&str> = robots.into_iter().collect();
         let (count, example) = (refused.len(), refused.first().unwrap_or(&""));
-        Err(Failure::new(
-            exit_code::REJECTED,
-            format!(
-                "{} is alive on this bus, itself or its cloud: it would obey the record, and others would take the record for it ({count} keys, such as {example}). \
+        Err(Failure::rejected(format!(
+            "{} is alive on this bus, itself or its cloud: it would obey the record, and others would take the record for it ({count} keys, such as {example}). \
                  Use another router, choose other --keys, or say --to-live-robot",
-                robots.join(", ")
-            ),
-        ))
+            output::listed(robots)
+        )))
     }
 
     /// Waits until a robot appears that would obey.

@@ -21,6 +21,7 @@ use super::maps::Maps;
 use super::reader::RecordReader;
 use super::run_clock::RunClock;
 use super::words;
+use crate::drawing::plane::points_of;
 use crate::failure::Failure;
 
 /// Interval between two points of a series, s.
@@ -151,6 +152,17 @@ pub const fn status_at_end(end: GoalPhase) -> &'static str {
     }
 }
 
+/// The nodes of a tree in document order, in which a parent comes before its children, each with its depth.
+pub fn with_depths(nodes: &[NodeStatus]) -> impl Iterator<Item = (&NodeStatus, usize)> {
+    let mut depths = BTreeMap::new();
+    nodes.iter().map(move |node| {
+        let parent = node.parent.and_then(|parent| depths.get(&parent));
+        let depth = parent.map_or(0, |depth: &usize| depth + 1);
+        depths.insert(node.uid, depth);
+        (node, depth)
+    })
+}
+
 /// State while a record is read.
 #[derive(Debug, Default)]
 pub struct Trace {
@@ -264,6 +276,12 @@ impl RobotRun {
         least.filter(|least| least.is_finite())
     }
 
+    /// Mean speed, m/s; `None` for a run without a duration.
+    #[must_use]
+    pub fn mean_speed(&self) -> Option<f64> {
+        (self.secs > 0.0).then(|| self.length / self.secs)
+    }
+
     /// Largest speed, m/s.
     #[must_use]
     pub fn top_speed(&self) -> f64 {
@@ -367,16 +385,12 @@ impl RobotRun {
     }
 
     fn plan(&mut self, plan: &Plan, logged: u64) {
-        let is_empty = plan.trajectory.is_empty() && plan.waypoints.is_empty();
-        if is_empty || self.trace.trajectory.replace(plan.trajectory_id) == Some(plan.trajectory_id) {
+        let points = points_of(plan);
+        if points.is_empty() || self.trace.trajectory.replace(plan.trajectory_id) == Some(plan.trajectory_id) {
             return;
         }
         self.plans += 1;
-        self.plan = if plan.trajectory.is_empty() {
-            plan.waypoints.clone()
-        } else {
-            plan.trajectory.iter().map(|point| point.position()).collect()
-        };
+        self.plan = points;
         let statistics = &plan.statistics;
         self.stage("search", statistics.search_ms);
         self.stage("corridor", statistics.corridor_ms);
@@ -434,13 +448,7 @@ impl RobotRun {
     fn mission(&mut self, status: &MissionStatus) {
         let now = self.trace.clock.now;
         let goal = status.goal_id.clone().unwrap_or_default();
-        let mut depths: BTreeMap<u32, usize> = BTreeMap::new();
-        for node in &status.nodes {
-            let depth = node
-                .parent
-                .and_then(|parent| depths.get(&parent))
-                .map_or(0, |depth| depth + 1);
-            depths.insert(node.uid, depth);
+        for (node, depth) in with_depths(&status.nodes) {
             let place = (goal.clone(), node.uid);
             let running = node.status == "RUNNING";
             match self.trace.open.get(&place).copied() {

@@ -157,7 +157,6 @@ fn item(items: &[Value]) -> Option<Value> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

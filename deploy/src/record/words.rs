@@ -2,6 +2,8 @@
 
 use zenav_protocol::messages::{EventKind, GuardZone, Link};
 
+use crate::output::piece;
+
 /// The event in one line.
 #[must_use]
 pub fn event(kind: &EventKind) -> String {
@@ -30,13 +32,8 @@ pub fn event(kind: &EventKind) -> String {
         EventKind::Stopped { by } => format!("stopped by {by}"),
         EventKind::Resumed { by } => format!("resumed by {by}"),
         EventKind::BehaviourDone { report } => {
-            let reason = report.reason.as_deref().map(|reason| format!(": {reason}"));
-            format!(
-                "maneuver {} {}{}",
-                report.id,
-                lower(&report.state),
-                reason.unwrap_or_default()
-            )
+            let reason = piece(report.reason.as_deref(), |reason| format!(": {reason}"));
+            format!("maneuver {} {}{reason}", report.id, lower(&report.state))
         }
         EventKind::Transition {
             behaviour,

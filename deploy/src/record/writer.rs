@@ -89,14 +89,6 @@ pub struct RecordWriter {
     last: u64,
 }
 
-impl std::fmt::Debug for RecordWriter {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("RecordWriter")
-            .field("path", &self.path)
-            .finish_non_exhaustive()
-    }
-}
-
 impl RecordWriter {
     /// Starts a recording at `now`, ns since the UNIX epoch. With a size or time limit the files are named `OUT_0001.mcap` and so on.
     ///
@@ -462,7 +454,6 @@ fn broken(path: &Path, error: McapError) -> RecordError {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

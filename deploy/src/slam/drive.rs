@@ -1,7 +1,5 @@
 //! Drive. The simulated log of the tests: along a room of 10 m by 6 m with round pillars, half a circle in view.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use std::path::Path;
 
 use nalgebra::Point2;

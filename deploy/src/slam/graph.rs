@@ -66,8 +66,7 @@ impl Solved {
 
     /// One-sentence summary.
     pub(super) fn told(&self) -> String {
-        let reason = self.reason.as_ref();
-        let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
+        let reason = output::piece(self.reason.as_ref(), |reason| format!(" ({reason})"));
         format!(
             "graph: {} nodes, {} edges, {} held to be false, chi squared {:.3}, {}{reason} in {:.1} ms",
             self.nodes, self.edges, self.dropped, self.chi_squared, self.optimality, self.solve_ms
@@ -124,7 +123,6 @@ fn unsolved(error: &SolveError, ids: &[u64], is_robust: bool) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use std::io::Write as _;
 

@@ -16,8 +16,8 @@ use super::picture::Ways;
 use super::session::Stored;
 use super::written::Drawn;
 use super::{session, written};
+use crate::arguments;
 use crate::batch::thread_time;
-use crate::connect;
 use crate::failure::{Failure, Outcome};
 use crate::inspect::read_log;
 use crate::{files, output};
@@ -221,7 +221,7 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
 }
 
 fn mapped(args: &SlamArgs) -> Result<Mapped, Failure> {
-    let start = args.start.as_deref().map(|start| connect::pose("--start", start));
+    let start = args.start.as_deref().map(|start| arguments::pose("--start", start));
     let mut start = start.transpose()?;
     let relations = args.relations.as_deref().map(|path| {
         let text = files::text(path)?;
@@ -329,7 +329,7 @@ fn keep(path: &Path, is_of_robot: bool, out: &Path, slam: &Slam) -> Result<Optio
 impl Mapped {
     /// Summary.
     fn told(&self) -> String {
-        let relations = self.relations.as_ref().map_or_else(String::new, |relations| {
+        let relations = output::piece(self.relations.as_ref(), |relations| {
             format!(
                 "\nrelations: {:.4} ± {:.4} m, {:.3} ± {:.3} deg over {} (odometry {:.3} m, {:.2} deg)",
                 relations.translation_m.mean,
@@ -446,7 +446,6 @@ fn told((errors, odometry): (RelationErrors, RelationErrors)) -> Relations {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::time::Stamp;
 

@@ -29,7 +29,7 @@ pub struct MergeArgs {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Side of a cell of the map, m
-    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::resolution)]
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::arguments::resolution)]
     resolution: f64,
 }
 
@@ -100,7 +100,6 @@ fn refused(a: &Path, b: &Path, error: &MergeError) -> Failure {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::super::drive;
     use super::*;

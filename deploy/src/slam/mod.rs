@@ -45,7 +45,7 @@ pub struct SlamArgs {
     #[arg(long, value_name = "FILE", requires = "log")]
     session: Option<PathBuf>,
     /// Start of the first log in the existing session's map, to within 1 m and 0.5 rad: m, m, rad [default: searched for]
-    #[arg(long, value_names = ["X", "Y", "YAW"], num_args = 3, requires = "session", value_parser = crate::connect::finite)]
+    #[arg(long, value_names = ["X", "Y", "YAW"], num_args = 3, requires = "session", value_parser = crate::arguments::finite)]
     start: Option<Vec<f64>>,
     /// Reference relations: lines `t1 t2 x y z roll pitch yaw`
     #[arg(long, value_name = "FILE", requires = "log")]
@@ -60,7 +60,7 @@ pub struct SlamArgs {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Side of a cell of the map, m
-    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::resolution)]
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::arguments::resolution)]
     resolution: f64,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]

@@ -94,7 +94,6 @@ fn scan(slam: &Slam, node: usize) -> Option<Scan> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use zenav_protocol::grid::Occupancy;

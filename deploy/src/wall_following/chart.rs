@@ -52,16 +52,20 @@ fn mm(metres: f64) -> f64 {
     1e3 * metres
 }
 
+/// A chart with this caption, and space for the labels of its axes.
+fn chart<'a, 'b>(area: &'a Area<'b>, caption: &str) -> ChartBuilder<'a, 'static, SVGBackend<'b>> {
+    let mut chart = ChartBuilder::on(area);
+    chart.caption(caption, ("sans-serif", 14)).margin(12);
+    chart.x_label_area_size(34).y_label_area_size(48);
+    chart
+}
+
 fn generations(area: &Area<'_>, report: &TuneReport) -> Painted {
     let first = report.cost_seen[0];
     let most = report.history.iter().copied().fold(first, f64::max);
     let last = report.history.len().max(1) as f64;
-    let mut chart = ChartBuilder::on(area)
-        .caption("least cost in the rooms of the search", ("sans-serif", 14))
-        .margin(12)
-        .x_label_area_size(34)
-        .y_label_area_size(48)
-        .build_cartesian_2d(0.0..last, 0.0..mm(most) * 1.1)?;
+    let mut chart =
+        chart(area, "least cost in the rooms of the search").build_cartesian_2d(0.0..last, 0.0..mm(most) * 1.1)?;
     chart.configure_mesh().x_desc("generation").y_desc("mm").draw()?;
     chart.draw_series(LineSeries::new([(0.0, mm(first)), (last, mm(first))], &BEFORE))?;
     let costs = report.history.iter().enumerate();
@@ -77,11 +81,7 @@ fn rooms(area: &Area<'_>, report: &TuneReport) -> Painted {
         .iter()
         .flat_map(|room| [room.before.cost, room.after.cost]);
     let most = mm(costs.fold(1e-3, f64::max)) * 1.1;
-    let mut chart = ChartBuilder::on(area)
-        .caption("cost in rooms that the search has not seen", ("sans-serif", 14))
-        .margin(12)
-        .x_label_area_size(34)
-        .y_label_area_size(48)
+    let mut chart = chart(area, "cost in rooms that the search has not seen")
         .build_cartesian_2d(0.5..report.unseen.len().max(1) as f64 + 0.5, 0.0..most)?;
     let mut mesh = chart.configure_mesh();
     mesh.x_desc("room").y_desc("mm").disable_x_mesh().draw()?;
@@ -104,12 +104,7 @@ fn errors(area: &Area<'_>, report: &TuneReport, traces: &Traces) -> Painted {
     let last = traces.iter().flatten().map(|(time, _)| *time).fold(1.0, f64::max);
     let name = report.unseen.first().map_or("", |room| &room.room);
     let caption = format!("distance error over time in {name} (cut off beyond {MOST} mm)");
-    let mut chart = ChartBuilder::on(area)
-        .caption(caption, ("sans-serif", 14))
-        .margin(12)
-        .x_label_area_size(34)
-        .y_label_area_size(48)
-        .build_cartesian_2d(0.0..last, -MOST..MOST)?;
+    let mut chart = chart(area, &caption).build_cartesian_2d(0.0..last, -MOST..MOST)?;
     chart.configure_mesh().x_desc("simulated time, s").y_desc("mm").draw()?;
     for ((points, color), name) in traces.iter().zip([BEFORE, AFTER]).zip(["before", "after"]) {
         let points = points

@@ -17,9 +17,9 @@ use super::chart;
 use super::evolution::Evolution;
 use super::lockstep;
 use super::rooms::room;
+use crate::arguments::{self, positive};
 use crate::batch::progress;
 use crate::completion;
-use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -62,22 +62,22 @@ struct WallFollowArgs {
     #[arg(long, default_value = "neato", add = completion::models())]
     robot: String,
     /// Number of rooms to search in, and of other rooms to judge in
-    #[arg(long, default_value_t = 8, value_parser = connect::whole_in(1..=1000_u32))]
+    #[arg(long, default_value_t = 8, value_parser = arguments::whole_in(1..=1000_u32))]
     rooms: u32,
     /// Generations of the search
-    #[arg(long, default_value_t = 14, value_parser = connect::whole_in(1..=1000_u32))]
+    #[arg(long, default_value_t = 14, value_parser = arguments::whole_in(1..=1000_u32))]
     generations: u32,
     /// Candidates per generation
-    #[arg(long, default_value_t = 8, value_parser = connect::whole_in(4..=1000_u32))]
+    #[arg(long, default_value_t = 8, value_parser = arguments::whole_in(4..=1000_u32))]
     population: u32,
     /// Simulated time in each room, s
     #[arg(long, default_value_t = 90.0, value_name = "SECS", value_parser = positive)]
     time: f64,
     /// Seed of rooms, noise and search
-    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
+    #[arg(long, default_value_t = 1, value_parser = arguments::whole::<u64>)]
     seed: u64,
     /// Parallel simulations [default: one per core]
-    #[arg(long, value_parser = connect::whole_in(1..=1024_u32))]
+    #[arg(long, value_parser = arguments::whole_in(1..=1024_u32))]
     threads: Option<u32>,
     /// Folder for the robot file, `report.json` and `tuning.svg`
     #[arg(long, default_value = "zenav-tune")]
@@ -192,8 +192,7 @@ pub fn tune(args: &TuneArgs) -> Outcome {
     let TuneCommand::WallFollow(args) = &args.command;
     let model = files::robot(&args.robot)?;
     std::fs::create_dir_all(&args.out).map_err(Failure::failed_at(&args.out))?;
-    let bench = Bench::new(args, &model)?;
-    let (report, traces) = bench.search(args)?;
+    let (report, traces) = Search::new(args, &model)?.run(args)?;
     let tuned = toml::to_string(&report.after.on(&model)).map_err(Failure::failed)?;
     let head = format!(
         "# {}, with the gains of `wall_following` found by: zenav tune wall_follow --robot {} --rooms {} --generations {} --population {} \
@@ -213,7 +212,7 @@ pub fn tune(args: &TuneArgs) -> Outcome {
 pub type Traces = [Vec<(f64, f64)>; 2];
 
 /// Rooms, and the number of threads.
-struct Bench<'a> {
+struct Search<'a> {
     model: &'a RobotModel,
     seen: Vec<World>,
     unseen: Vec<World>,
@@ -222,7 +221,7 @@ struct Bench<'a> {
     threads: usize,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> Search<'a> {
     fn new(args: &WallFollowArgs, model: &'a RobotModel) -> Result<Self, Failure> {
         let gap = GAP * model.wall_following.target_distance;
         let rooms = |from: u64| -> Result<Vec<World>, Failure> {
@@ -270,7 +269,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    fn search(&self, args: &WallFollowArgs) -> Result<(TuneReport, Traces), Failure> {
+    fn run(&self, args: &WallFollowArgs) -> Result<(TuneReport, Traces), Failure> {
         let before = Gains::of(self.model);
         let (population, rooms) = (args.population as usize, self.seen.len());
         let simulations = args.generations as usize * population * rooms;
@@ -293,17 +292,14 @@ impl<'a> Bench<'a> {
         }
         // The mean of the search is steadier than the best of noisy candidates.
         let after = Gains::of_logarithms(evolution.mean());
-        let seen = self.judge(&[before, after], &self.seen, &bar)?;
-        let unseen = self.judge(&[before, after], &self.unseen, &bar)?;
+        let compared = |rooms: &[World]| -> Result<[Vec<Judged>; 2], Failure> {
+            let mut judged = self.judge(&[before, after], rooms, &bar)?.into_iter();
+            Ok(std::array::from_fn(|_| judged.next().unwrap_or_default()))
+        };
+        let seen = compared(&self.seen)?;
+        let unseen = compared(&self.unseen)?;
         bar.finish_and_clear();
-        let [seen_before, seen_after] = [0, 1].map(|which| seen.get(which).map_or(f64::NAN, |judged| mean(judged)));
-        let [unseen_before, unseen_after] =
-            [0, 1].map(|which| unseen.get(which).map_or(f64::NAN, |judged| mean(judged)));
-        let pairs = unseen
-            .first()
-            .into_iter()
-            .flatten()
-            .zip(unseen.get(1).into_iter().flatten());
+        let cost_unseen = [mean(&unseen[0]), mean(&unseen[1])];
         let report = TuneReport {
             robot: self.model.name.clone(),
             seed: self.seed,
@@ -312,14 +308,11 @@ impl<'a> Bench<'a> {
             simulated_s: simulations as f64 * self.secs,
             before,
             after,
-            cost_seen: [seen_before, seen_after],
-            cost_unseen: [unseen_before, unseen_after],
-            improvement: 1.0 - unseen_after / unseen_before,
+            cost_seen: [mean(&seen[0]), mean(&seen[1])],
+            cost_unseen,
+            improvement: 1.0 - cost_unseen[1] / cost_unseen[0],
             history,
-            unseen: self
-                .unseen
-                .iter()
-                .zip(pairs)
+            unseen: std::iter::zip(&self.unseen, std::iter::zip(&unseen[0], &unseen[1]))
                 .map(|(room, (before, after))| UnseenRoom {
                     room: room.name().to_owned(),
                     before: *before,
@@ -357,35 +350,31 @@ fn mean(judged: &[Judged]) -> f64 {
 
 fn text(report: &TuneReport) -> String {
     let mm = |metres: f64| format!("{:.1}", 1e3 * metres);
-    let mut rows: Vec<Vec<String>> = report
-        .unseen
-        .iter()
-        .map(|room| {
-            vec![
-                room.room.clone(),
-                mm(room.before.rms_m),
-                mm(room.after.rms_m),
-                mm(room.before.straight_p95_m),
-                mm(room.after.straight_p95_m),
-                format!("{} {}", room.before.collisions, room.after.collisions),
-            ]
-        })
-        .collect();
+    let rows = report.unseen.iter().map(|room| {
+        [
+            room.room.clone(),
+            mm(room.before.rms_m),
+            mm(room.after.rms_m),
+            mm(room.before.straight_p95_m),
+            mm(room.after.straight_p95_m),
+            format!("{} {}", room.before.collisions, room.after.collisions),
+        ]
+    });
     let average =
         |of: fn(&UnseenRoom) -> f64| mm(report.unseen.iter().map(of).sum::<f64>() / report.unseen.len().max(1) as f64);
-    rows.push(vec![
+    let rows = rows.chain([[
         "mean".to_owned(),
         average(|room| room.before.rms_m),
         average(|room| room.after.rms_m),
         average(|room| room.before.straight_p95_m),
         average(|room| room.after.straight_p95_m),
         String::new(),
-    ]);
+    ]]);
     let header = ["UNSEEN ROOM", "RMS mm", "TUNED", "STRAIGHT p95 mm", "TUNED", "CONTACTS"];
     let gains = |gains: &Gains| format!("p {:.2} i {:.3} d {:.2}", gains.wall_p, gains.wall_i, gains.wall_d);
     format!(
         "{}\n\ngains before: {}\ngains after:  {}\nmean cost in rooms of the search {:.4} -> {:.4}, in unseen rooms {:.4} -> {:.4}: {:.1} % less\n{} simulations, {:.1} h simulated; robot file {}",
-        output::table(&header, &rows),
+        output::table(&header, rows),
         gains(&report.before),
         gains(&report.after),
         report.cost_seen[0],

@@ -21,9 +21,10 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::Simulation;
 
+use crate::arguments;
 use crate::completion;
 use crate::config::SecurityArgs;
-use crate::connect::{self, DEFAULT_ENDPOINT};
+use crate::connect::DEFAULT_ENDPOINT;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::health::HealthArgs;
@@ -48,13 +49,13 @@ pub struct ServeArgs {
     #[arg(long, value_name = "W", default_value = "kitchen", add = completion::worlds())]
     world: String,
     /// Simulated time relative to wall time
-    #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
+    #[arg(long, default_value_t = 1.0, value_parser = arguments::speed)]
     speed: f64,
     /// Seed of all noise and of randomly walking people
-    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
+    #[arg(long, default_value_t = 1, value_parser = arguments::whole::<u64>)]
     seed: u64,
     /// Endpoints of an own router [default: tcp/127.0.0.1:7447, without --connect]
-    #[arg(long, value_name = "ENDPOINT", value_parser = connect::endpoint)]
+    #[arg(long, value_name = "ENDPOINT", value_parser = arguments::endpoint)]
     listen: Vec<String>,
     /// Routers to join: without --listen as a client of one, with --listen as a further router
     #[arg(long, value_name = "ENDPOINT")]
@@ -125,7 +126,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
         result?;
         output::values(args.output, &lock(&host).report(), |rows| {
             let row = |row: &RobotReport| {
-                vec![
+                [
                     row.robot.clone(),
                     format!("{:.2}", row.length_m),
                     format!("{:.3}", row.min_clearance_m),

@@ -155,7 +155,6 @@ pub(super) fn size_limits() -> Value {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenoh::key_expr::KeyExpr;
 

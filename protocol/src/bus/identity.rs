@@ -167,11 +167,6 @@ impl Identity {
             ),
         })
     }
-
-    /// Path of a file in the folder.
-    pub(super) fn file(&self, name: &str) -> String {
-        self.folder.join(name).to_string_lossy().into_owned()
-    }
 }
 
 /// Parses a list of members: one per line, `#` starts a comment.
@@ -206,7 +201,6 @@ fn warn_of_open_key(folder: &Path) {
 fn warn_of_open_key(_: &Path) {}
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -1,13 +1,22 @@
 //! Link. Is a component linked to a router? Changes update its readiness, its log (`router lost`, `router back`) and the metrics.
 
 use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::time::Duration;
 
+use tokio::runtime::{Handle, RuntimeFlavor};
 use zenav_observability::metrics::{ROUTER_LINKED, ROUTER_LINKS, ROUTER_RECONNECTS};
 use zenav_observability::{Condition, Readiness};
 use zenoh::config::WhatAmI;
 use zenoh::sample::SampleKind;
 use zenoh::session::TransportEvent;
 use zenoh::{Session, Wait};
+
+/// How long Zenoh's routers may take to notice an arrival or a departure: they look at most every 0.1 s.
+///
+/// An arrival within that time after a departure is mistaken for the departed router, and receives no declarations: it reads no key and
+/// answers no request until another link changes.
+pub(super) const SETTLING: Duration = Duration::from_millis(150);
 
 /// Peers linked to a session.
 #[derive(Default)]
@@ -28,16 +37,23 @@ impl Links {
     }
 }
 
-/// Reports changes of a session's links while it is open, without keeping the session open.
-fn watch(session: &Session, mut told: impl FnMut(&Links) + Send + Sync + 'static) {
-    let mut links = Links::default();
+/// Reports changes of a session's links while it is open, without keeping the session open. `own`: what the session itself is.
+fn watch(session: &Session, own: WhatAmI, told: impl FnMut(&Links) + Send + 'static) {
+    let state = Mutex::new((Links::default(), told));
     let watched = session
         .info()
         .transport_events_listener()
         .history(true)
-        .callback_mut(move |event: TransportEvent| {
-            links.change(&event);
-            told(&links);
+        .callback(move |event: TransportEvent| {
+            if let Ok(mut state) = state.lock() {
+                let (links, told) = &mut *state;
+                links.change(&event);
+                told(links);
+            }
+            let is_gone = event.kind() == SampleKind::Delete;
+            if is_gone && own == WhatAmI::Router && event.transport().whatami() == WhatAmI::Router {
+                settle();
+            }
         })
         .background()
         .wait();
@@ -46,14 +62,26 @@ fn watch(session: &Session, mut told: impl FnMut(&Links) + Send + Sync + 'static
     }
 }
 
-/// Reports a component's link to its routers.
-pub(super) fn watch_routers(session: &Session, part: &Readiness, linked: Condition) {
+/// Keeps a link to a router that is gone from coming back before its departure was noticed. Both ends of several links that break at once,
+/// or while a process is paused, would otherwise be back within milliseconds. Zenoh opens no link to a router while it still tells that the
+/// last one is closed.
+fn settle() {
+    let wait = || std::thread::sleep(SETTLING);
+    match Handle::try_current().map(|runtime| runtime.runtime_flavor()) {
+        // Other tasks of Zenoh's thread go on meanwhile.
+        Ok(RuntimeFlavor::MultiThread) => tokio::task::block_in_place(wait),
+        _ => wait(),
+    }
+}
+
+/// Reports a component's link to its routers. `own`: what the component's session is.
+pub(super) fn watch_routers(session: &Session, own: WhatAmI, part: &Readiness, linked: Condition) {
     let name = part.name().to_owned();
     let gauge = ROUTER_LINKED.with_label_values(&[&name]);
     let reconnects = ROUTER_RECONNECTS.with_label_values(&[&name]);
     // `None` before the first link, which readiness reports.
     let mut was_linked = None;
-    watch(session, move |links| {
+    watch(session, own, move |links| {
         let is_linked = links.of(WhatAmI::Router) > 0;
         gauge.set(f64::from(u8::from(is_linked)));
         if is_linked {
@@ -87,7 +115,7 @@ pub(super) fn count(session: &Session) {
         gauge.set(0.0);
     }
     let mut routers = 0;
-    watch(session, move |links| {
+    watch(session, WhatAmI::Router, move |links| {
         for (kind, gauge) in &gauges {
             gauge.set(links.of(*kind) as f64);
         }

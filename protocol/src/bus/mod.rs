@@ -101,7 +101,7 @@ pub use router::{Router, RouterConfig};
 pub use security::{Profile, Security, SecuritySection, link_protocol};
 pub use serve::{Request, Server};
 pub use serve_part::{Call, PartServer, Responder};
-pub use session::{Bus, BusConfig, BusError, DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
+pub use session::{Bus, BusConfig, BusError, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, client_settings};
 pub use shutdown::{Shutdown, interrupted};
 pub use subscribe::{Latest, Received, Subscription};
 pub use tap::{RawPublisher, Tap, Tapped, matches};

@@ -71,16 +71,8 @@ impl Bus {
 
     fn outlet(&self, topic: Untyped, chunks: &[&str]) -> Result<Outlet, BusError> {
         let key = topic.key(chunks);
-        let key_expr = Self::key(key.clone())?;
-        if key_expr.is_wild() {
-            return Err(BusError::Key {
-                key,
-                reason: "expected a key without wildcards to publish on".into(),
-            });
-        }
-        let carrier = self.carrier(key_expr, topic.qos, topic.encoding)?;
         Ok(Outlet {
-            carrier,
+            carrier: self.carrier(&key, topic.qos, topic.encoding)?,
             encoding: topic.encoding,
             max_bytes: topic.max_bytes,
             key,
@@ -89,13 +81,15 @@ impl Bus {
         })
     }
 
-    /// A publisher with the quality of service of a topic.
-    pub(super) fn carrier(
-        &self,
-        key_expr: zenoh::key_expr::KeyExpr<'static>,
-        qos: Qos,
-        encoding: Encoding,
-    ) -> Result<Carrier, BusError> {
+    /// A publisher on a key without wildcards, with the quality of service of a topic.
+    pub(super) fn carrier(&self, key: &str, qos: Qos, encoding: Encoding) -> Result<Carrier, BusError> {
+        let key_expr = Self::key(key.to_owned())?;
+        if key_expr.is_wild() {
+            return Err(BusError::Key {
+                key: key.to_owned(),
+                reason: "expected a key without wildcards to publish on".into(),
+            });
+        }
         let congestion = match encoding {
             Encoding::Json => CongestionControl::Drop,
             Encoding::Cbor => CongestionControl::Block,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use zenav_observability::Readiness;
 use zenoh::Session;
@@ -11,7 +12,14 @@ use super::limiter::Pace;
 use super::link;
 use super::rights::Rights;
 use super::security::Security;
-use super::session::{Bus, BusError, DEFAULT_ENDPOINT, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings};
+use super::session::{
+    Bus, BusError, DEFAULT_ENDPOINT, LEASE_MS, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings,
+};
+
+/// Interval between two looks whether this process was suspended.
+const LOOK: Duration = Duration::from_millis(500);
+/// Time of a suspension after which others have given up on the router: their links have ended, and so has the shortest handshake after that.
+const GIVEN_UP: Duration = Duration::from_millis(LEASE_MS + ROUTER_HANDSHAKE_MS);
 
 /// Configuration of a router.
 #[derive(Clone, Debug)]
@@ -65,6 +73,7 @@ impl Router {
             &config.name,
             security,
             ROUTER_HANDSHAKE_MS,
+            None,
         )?;
         let scouting = zenoh.insert_json5("scouting/multicast/enabled", &config.scouting.to_string());
         scouting.map_err(|error| BusError::Config {
@@ -104,6 +113,20 @@ impl Router {
             readiness: self.readiness.clone(),
             rights: self.rights.clone(),
             pace: Arc::clone(&self.pace),
+        }
+    }
+
+    /// Ends once this process was suspended (`SIGSTOP`, a paused container) until others gave up on it. Over QUIC, Zenoh 1.10 waits half a
+    /// minute for a handshake that was given up before it accepts the next link; only a new process forgets these handshakes. Never ends
+    /// without an identity, because links over TCP do not wait for one another.
+    pub async fn was_suspended(&self) {
+        if self.rights.is_none() {
+            return std::future::pending().await;
+        }
+        let mut looked = Instant::now();
+        while looked.elapsed() < GIVEN_UP {
+            looked = Instant::now();
+            tokio::time::sleep(LOOK).await;
         }
     }
 

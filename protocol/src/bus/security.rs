@@ -200,17 +200,7 @@ impl Security {
         let Self::Mtls(identity) = self else {
             return Ok(());
         };
-        let (certificate, key) = (identity.file("cert.pem"), identity.file("key.pem"));
-        settings["transport"]["link"]["tls"] = json!({
-            "root_ca_certificate": identity.file("ca.pem"),
-            "listen_certificate": certificate,
-            "listen_private_key": key,
-            "connect_certificate": certificate,
-            "connect_private_key": key,
-            "enable_mtls": true,
-            "verify_name_on_connect": true,
-            "close_link_on_expiration": true,
-        });
+        settings["transport"]["link"]["tls"] = certificates(identity.folder());
         if mode == WhatAmI::Router && !listen.is_empty() {
             let fleet = identity.fleet()?;
             settings["access_control"] = access_control::rules(fleet, identity.member());
@@ -218,6 +208,21 @@ impl Security {
         }
         Ok(())
     }
+}
+
+/// Zenoh's settings of links with the identity in a folder: a certificate on each side.
+pub(super) fn certificates(folder: &Path) -> Value {
+    let file = |name: &str| folder.join(name).to_string_lossy().into_owned();
+    json!({
+        "root_ca_certificate": file("ca.pem"),
+        "listen_certificate": file("cert.pem"),
+        "listen_private_key": file("key.pem"),
+        "connect_certificate": file("cert.pem"),
+        "connect_private_key": file("key.pem"),
+        "enable_mtls": true,
+        "verify_name_on_connect": true,
+        "close_link_on_expiration": true,
+    })
 }
 
 /// Why a member cannot run a part that works in these roles only; the first is the usual one.
@@ -262,9 +267,9 @@ impl From<IdentityError> for BusError {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::bus::client_settings;
 
     #[test]
     fn without_an_identity_only_this_machine_is_listened_to() {
@@ -303,6 +308,18 @@ mod tests {
             let text = Security::Loopback.check_metrics(far).unwrap_err().to_string();
             assert!(text.contains(far) && text.contains("--insecure"), "{text}");
             assert_eq!(Security::Insecure.check_metrics(far), Ok(()));
+        }
+    }
+
+    #[test]
+    fn zenoh_takes_the_settings_for_other_programs() {
+        let folder = "/etc/zenav-identity/robot.tiago";
+        for identity in [None, Some(Path::new(folder))] {
+            let settings = client_settings(&["quic/site1:7447".to_owned()], "robot.tiago", identity);
+            zenoh::Config::from_json5(&settings.to_string()).unwrap();
+            let key = settings.pointer("/transport/link/tls/connect_private_key");
+            let expected = identity.map(|_| format!("{folder}/key.pem"));
+            assert_eq!(key.and_then(Value::as_str), expected.as_deref());
         }
     }
 

@@ -8,9 +8,11 @@
 //! resumes about one second after it heals. On a slow link the handshake alone may take longer than an attempt on a cut link should: longer
 //! limits are tried if the endpoint accepts connections but the link does not come up.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use serde_json::{Value, json};
 use thiserror::Error;
 use tokio::time::{Instant, sleep};
 use zenav_observability::{Condition, Readiness};
@@ -18,9 +20,9 @@ use zenoh::config::WhatAmI;
 use zenoh::{Config, Session};
 
 use super::limiter::Pace;
-use super::link;
+use super::link::{self, SETTLING};
 use super::rights::{Denied, Rights};
-use super::security::Security;
+use super::security::{Security, certificates};
 
 /// Default endpoint of the router: Zenoh's own port.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -28,7 +30,7 @@ pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// A silent link counts as dead after this time, ms.
-const LEASE_MS: u64 = 2000;
+pub(super) const LEASE_MS: u64 = 2000;
 /// Time limits of a link's handshake, ms, tried in order. A handshake takes two round trips, three with TLS. The shortest limit comes
 /// first: on a cut link each attempt takes this long, which also delays reconnection after the link heals.
 const HANDSHAKES_MS: [u64; 3] = [1000, 3000, 12_000];
@@ -41,6 +43,9 @@ pub(super) const ROUTER_HANDSHAKE_MS: u64 = 2000;
 const ACCEPTED_MS: u64 = 20_000;
 /// Most incoming handshakes at a time.
 const ACCEPTED: u64 = 1000;
+/// Size of a robot's TCP send buffer, bytes; Linux doubles it. What waits there leaves in order, whatever its priority, and by itself Linux lets
+/// megabytes wait: a minute's worth on a link of 256 kbit/s, two seconds' with this limit. It passes half a megabit a second over a round trip of 1 s.
+const ROBOT_SEND_BUFFER: u32 = 32 * 1024;
 /// Time until a link is reported, on top of the handshake limit.
 const SHOWS: Duration = Duration::from_millis(600);
 /// Largest message accepted from a link, bytes: more than the largest of the key table.
@@ -49,9 +54,6 @@ const MAX_MESSAGE: usize = 128 * 1024 * 1024;
 const MAX_RETRY_MS: u64 = 400;
 /// Shortest pause between two attempts to connect, ms.
 const MIN_RETRY_MS: u64 = 200;
-/// Pause before a router links to the others. Zenoh's routers process arrivals and departures after 0.1 s: an arrival within that time
-/// after a departure is mistaken for the departed router, and receives no declarations. A component may just have been restarted.
-const SETTLING: Duration = Duration::from_millis(150);
 /// Time limit for closing a session.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -193,6 +195,7 @@ impl Bus {
             (false, _) => WhatAmI::Router,
         };
         if mode == WhatAmI::Router && !config.connect.is_empty() {
+            // It may just have been restarted.
             sleep(SETTLING).await;
         }
         let is_part = config.is_part();
@@ -229,7 +232,7 @@ impl Bus {
                 }
                 Ok(session) => {
                     if let Some(linked) = linked.filter(|_| is_part) {
-                        link::watch_routers(&session, &readiness, linked);
+                        link::watch_routers(&session, mode, &readiness, linked);
                     }
                     return Ok(Self {
                         session,
@@ -349,6 +352,8 @@ impl BusConfig {
             &self.name,
             &self.security,
             handshake_ms,
+            // Only a robot has an endpoint of its own, and a link that may be narrow.
+            (mode == WhatAmI::Router).then_some(ROBOT_SEND_BUFFER),
         )?;
         if !self.is_part() {
             // Routers keep the keys of an admin space for ever, and every command would add its own.
@@ -370,7 +375,7 @@ impl BusConfig {
                     "expected plain names but `zenav`, such as `site1` or `acme/site1`".into(),
                 ));
             }
-            let text = serde_json::Value::from(self.namespace.as_str()).to_string();
+            let text = Value::from(self.namespace.as_str()).to_string();
             zenoh
                 .insert_json5("namespace", &text)
                 .map_err(|error| wrong(error.to_string()))?;
@@ -443,8 +448,45 @@ pub(super) fn link_settings(
     name: &str,
     security: &Security,
     handshake_ms: u64,
+    send_buffer: Option<u32>,
 ) -> Result<Config, BusError> {
     security.check(connect, listen)?;
+    let mut settings = plain_settings(mode, connect, listen, name, handshake_ms);
+    settings["transport"]["link"]["tcp"] = json!({ "so_sndbuf": send_buffer });
+    security.settings(mode, listen, &mut settings)?;
+    Config::from_json5(&settings.to_string()).map_err(|error| BusError::Config {
+        reason: format!("Zenoh's settings: {error}"),
+    })
+}
+
+/// Zenoh's settings of a client of these routers that is no part of zenav, as JSON: it waits for a router, and its links have the times of
+/// zenav's own. `identity`: the folder of its identity, on its own machine.
+///
+/// ```
+/// use zenav_protocol::bus::client_settings;
+///
+/// let settings = client_settings(&["tcp/127.0.0.1:7447".to_owned()], "driver", None);
+/// assert_eq!(settings["mode"], "client");
+/// assert_eq!(settings["scouting"]["multicast"]["enabled"], false);
+/// ```
+#[must_use]
+pub fn client_settings(connect: &[String], name: &str, identity: Option<&Path>) -> Value {
+    let handshake_ms = match identity {
+        Some(_) => QUIC_HANDSHAKE_MS,
+        None => HANDSHAKES_MS[0],
+    };
+    let mut settings = plain_settings(WhatAmI::Client, connect, &[], name, handshake_ms);
+    settings["connect"]["timeout_ms"] = json!(-1);
+    // Routers keep the keys of an admin space for ever.
+    settings["adminspace"]["enabled"] = json!(false);
+    if let Some(folder) = identity {
+        settings["transport"]["link"]["tls"] = certificates(folder);
+    }
+    settings
+}
+
+/// Zenoh's settings of a session without protection.
+fn plain_settings(mode: WhatAmI, connect: &[String], listen: &[String], name: &str, handshake_ms: u64) -> Value {
     // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router retries forever in the background.
     let timeout_ms = if mode == WhatAmI::Client { 0 } else { -1 };
     // The other side receives nothing for one round trip after it has accepted this side.
@@ -453,7 +495,7 @@ pub(super) fn link_settings(
     } else {
         LEASE_MS
     };
-    let mut settings = serde_json::json!({
+    json!({
         "mode": mode.to_string(),
         "metadata": { "name": name },
         "connect": {
@@ -478,9 +520,20 @@ pub(super) fn link_settings(
             "link": { "tx": { "lease": lease_ms }, "rx": { "max_message_size": MAX_MESSAGE } },
         },
         "adminspace": { "enabled": true, "permissions": { "read": true, "write": false } },
-    });
-    security.settings(mode, listen, &mut settings)?;
-    Config::from_json5(&settings.to_string()).map_err(|error| BusError::Config {
-        reason: format!("Zenoh's settings: {error}"),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn little_waits_in_the_send_buffer_of_a_robot_and_other_sessions_have_the_system_s() {
+        let buffer = |mode| {
+            let settings = BusConfig::default().settings(mode, HANDSHAKES_MS[0]).unwrap();
+            settings.get_json("transport/link/tcp/so_sndbuf").unwrap()
+        };
+        assert_eq!(buffer(WhatAmI::Router), ROBOT_SEND_BUFFER.to_string());
+        assert_eq!(buffer(WhatAmI::Client), "null");
+    }
 }

@@ -202,16 +202,9 @@ impl Bus {
     /// # Errors
     /// [`BusError::Key`], also for a key with wildcards; [`BusError::Closed`].
     pub fn raw_publisher(&self, key: &str, encoding: &str) -> Result<RawPublisher, BusError> {
-        let key_expr = Self::key(key.to_owned())?;
-        if key_expr.is_wild() {
-            return Err(BusError::Key {
-                key: key.to_owned(),
-                reason: "expected a key without wildcards to publish on".into(),
-            });
-        }
         let qos = topics::row_of(key).and_then(|row| row.qos).unwrap_or(Qos::Latest);
         Ok(RawPublisher {
-            carrier: self.carrier(key_expr, qos, Encoding::of(encoding))?,
+            carrier: self.carrier(key, qos, Encoding::of(encoding))?,
             encoding: WireEncoding::from(encoding),
         })
     }

@@ -23,6 +23,13 @@ impl Cell {
     pub const fn new(x: u32, y: u32) -> Self {
         Self { x, y }
     }
+
+    /// Its centre, in cells; [`GridSpec::center`] has it in metres.
+    #[inline]
+    #[must_use]
+    pub fn center(self) -> Point2<f64> {
+        Point2::new(f64::from(self.x) + 0.5, f64::from(self.y) + 0.5)
+    }
 }
 
 /// Geometry of a grid: origin, resolution and size.

@@ -1,5 +1,4 @@
 //! Tests of the lease arbiter: who may command a robot.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
 

@@ -94,7 +94,7 @@ impl GoalPoint {
     /// The place, carried along by a move of the map part it belongs to.
     #[must_use]
     pub fn moved(&self, new_from_old: Pose2) -> Self {
-        let place = new_from_old * Pose2::new(self.x, self.y, self.yaw.unwrap_or(0.0));
+        let place = new_from_old * self.pose();
         Self {
             x: place.x,
             y: place.y,
@@ -104,7 +104,6 @@ impl GoalPoint {
 }
 
 /// For `skip_serializing_if`: the first frame is left out.
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
 pub(crate) const fn is_first(frame: &u64) -> bool {
     *frame == 0
 }

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::DrivingProfile;
 use crate::config_text::{Expected, Number};
-use crate::geometry::{MAX_COORDINATE, wrap_angle};
+use crate::geometry::{MAX_COORDINATE, Pose2, wrap_angle};
 use crate::time::Stamp;
 
 /// A place, map frame.
@@ -23,6 +24,24 @@ pub struct GoalPoint {
 }
 
 impl GoalPoint {
+    /// A place without a heading.
+    #[must_use]
+    pub const fn at(x: f64, y: f64) -> Self {
+        Self { x, y, yaw: None }
+    }
+
+    /// Its position, m.
+    #[must_use]
+    pub fn position(&self) -> Point2<f64> {
+        Point2::new(self.x, self.y)
+    }
+
+    /// The place as a pose; without a heading, it faces along x.
+    #[must_use]
+    pub fn pose(&self) -> Pose2 {
+        Pose2::new(self.x, self.y, self.yaw.unwrap_or(0.0))
+    }
+
     /// The place, with its heading wrapped.
     ///
     /// ```
@@ -51,6 +70,15 @@ impl GoalPoint {
             yaw: yaw.map_err(|why| format!("yaw is {why}"))?.map(wrap_angle),
             ..self
         })
+    }
+}
+
+impl From<Pose2> for GoalPoint {
+    fn from(pose: Pose2) -> Self {
+        Self {
+            yaw: Some(pose.yaw),
+            ..Self::at(pose.x, pose.y)
+        }
     }
 }
 
@@ -280,6 +308,14 @@ pub struct Blockage {
     pub y: f64,
     /// Time since which it is known to be there, on the mission's clock.
     pub since: Stamp,
+}
+
+impl Blockage {
+    /// Its centre, m.
+    #[must_use]
+    pub fn position(&self) -> Point2<f64> {
+        Point2::new(self.x, self.y)
+    }
 }
 
 /// Cancels a goal.

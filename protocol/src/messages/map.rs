@@ -23,6 +23,18 @@ pub struct MapRef {
     pub frame: u64,
 }
 
+impl MapRef {
+    /// A map in its first frame.
+    #[must_use]
+    pub fn new(id: impl Into<String>, revision: u64) -> Self {
+        Self {
+            id: id.into(),
+            revision,
+            frame: 0,
+        }
+    }
+}
+
 /// Description of a map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

@@ -156,7 +156,7 @@ pub struct PlanRequest {
     #[serde(default)]
     pub escape: f64,
     /// A goal where the robot does not fit may be replaced by the nearest free position within this distance, m.
-    #[serde(default, skip_serializing_if = "is_none")]
+    #[serde(default, skip_serializing_if = "crate::drive::is_zero")]
     pub goal_tolerance: f64,
     /// Time limit of the search, ms.
     pub budget_ms: u64,
@@ -395,13 +395,7 @@ pub fn check_backwards(backwards: &[usize], corners: usize) -> Result<(), String
     }
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_none(tolerance: &f64) -> bool {
-    *tolerance == 0.0
-}
-
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::robot::shipped;

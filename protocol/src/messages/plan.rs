@@ -166,7 +166,6 @@ pub struct LimitUse {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -135,11 +135,7 @@ mod tests {
     fn a_refusal_reads_as_the_contract_says() {
         let refusal = Refusal::Rejected {
             reason: "the goal is occupied".into(),
-            nearest_free: Some(GoalPoint {
-                x: 1.0,
-                y: 2.0,
-                yaw: None,
-            }),
+            nearest_free: Some(GoalPoint::at(1.0, 2.0)),
         };
         let text = serde_json::to_string(&refusal).unwrap();
         assert_eq!(

@@ -78,7 +78,6 @@ pub enum RemoteStatus {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -192,7 +192,6 @@ const fn all() -> f64 {
     1.0
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
 fn is_all(share: &f64) -> bool {
     *share >= 1.0
 }
@@ -234,7 +233,6 @@ pub struct Marker {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, RawReply};
+use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, RawReply, Router, RouterConfig};
 use zenav_protocol::messages::StopReply;
 use zenav_protocol::topics;
 
@@ -44,6 +44,40 @@ async fn a_robot_that_comes_right_after_another_left_is_told_of_everybody() {
         let answer = stop(&bus, "r1", PATIENCE / 4).await;
         assert_eq!(answer, Ok(StopReply { stopped: true }), "turn {turn}");
         bus.close().await;
+    }
+    serving.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_whose_links_all_broke_at_once_is_known_to_every_router_again() {
+    let (_first, first) = router().await;
+    let second = Router::open(&RouterConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        connect: vec![first.clone()],
+        ..RouterConfig::default()
+    })
+    .await
+    .unwrap();
+    let routers = [first, second.endpoints().await.remove(0)];
+    let cables = [Cable::to(&routers[0]).await, Cable::to(&routers[1]).await];
+    let ends = cables.each_ref().map(|cable| cable.endpoint.clone());
+    let robot = Bus::open(BusConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..BusConfig::service("edge", &ends.join(","))
+    });
+    let robot = within("opening", robot).await.unwrap();
+    let serving = serve_stop(&robot, "r1");
+    let askers = [client(&routers[0], "a").await, client(&routers[1], "b").await];
+    for turn in 0..6 {
+        for asker in &askers {
+            until("an answer", async || stop(asker, "r1", PATIENCE / 20).await.ok()).await;
+        }
+        // Longer than the routers' pause between two looks at the net.
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        println!("turn {turn}: pulled");
+        for cable in &cables {
+            cable.pulled.send_replace(());
+        }
     }
     serving.abort();
 }

@@ -70,10 +70,12 @@ pub async fn robot(endpoint: &str) -> (Bus, String) {
     (bus, own)
 }
 
-/// A link to the router that can be frozen: nothing passes, and neither side is notified.
+/// A link to the router that can be frozen: nothing passes, and neither side is notified. It can also be pulled: all its connections end,
+/// for both sides at once, and new ones are carried.
 pub struct Cable {
     pub endpoint: String,
     pub frozen: watch::Sender<bool>,
+    pub pulled: watch::Sender<()>,
 }
 
 impl Cable {
@@ -82,6 +84,7 @@ impl Cable {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
         let (frozen, state) = watch::channel(false);
+        let (pulled, pull) = watch::channel(());
         tokio::spawn(async move {
             while let Ok((near, _)) = listener.accept().await {
                 let Ok(far) = TcpStream::connect(&target).await else {
@@ -89,11 +92,15 @@ impl Cable {
                 };
                 let ((near_in, near_out), (far_in, far_out)) = (near.into_split(), far.into_split());
                 for (mut from, mut to) in [(near_in, far_out), (far_in, near_out)] {
-                    let mut state = state.clone();
+                    let (mut state, mut pull) = (state.clone(), pull.clone());
+                    pull.mark_unchanged();
                     tokio::spawn(async move {
                         let mut buffer = vec![0; 64 * 1024];
                         loop {
-                            let Ok(count @ 1..) = from.read(&mut buffer).await else {
+                            let Ok(count @ 1..) = (tokio::select! {
+                                count = from.read(&mut buffer) => count,
+                                _ = pull.changed() => return,
+                            }) else {
                                 return;
                             };
                             if state.wait_for(|frozen| !frozen).await.is_err()
@@ -106,7 +113,11 @@ impl Cable {
                 }
             }
         });
-        Self { endpoint, frozen }
+        Self {
+            endpoint,
+            frozen,
+            pulled,
+        }
     }
 }
 

@@ -34,6 +34,18 @@ fn the_robot_tells_the_round_trip_that_it_measures() {
 }
 
 #[test]
+fn over_a_round_trip_that_no_lease_outlives_the_robot_stays_and_the_goal_says_why_within_ten_seconds() {
+    let mut rig = Rig::with(room(|_| false), room(|_| false), 14.0);
+    // A round trip until the mission has heard the robot, and another one until it knows the robot's model.
+    rig.run(40.0);
+    rig.submit(to(4.0, 0.0, "a")).unwrap();
+    let says_why = |rig: &Rig| rig.goal("a").feedback.step.contains("over a round trip of 10 s no");
+    assert!(rig.run_until(10.0, says_why), "{:#?}", rig.goal("a"));
+    rig.run(60.0);
+    assert!(rig.is_at_rest() && rig.driven() < 0.01, "{} m", rig.driven());
+}
+
+#[test]
 fn a_refusal_is_heard_although_the_plan_was_renewed_meanwhile() {
     let mut rig = Rig::with(room(|_| false), room(|_| false), 1.5);
     rig.run(6.0);

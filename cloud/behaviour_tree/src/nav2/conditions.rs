@@ -4,10 +4,9 @@
 
 use serde::Deserialize;
 
-use super::decorators::number;
 use super::literals;
 use crate::leaf::{Leaf, LeafIo};
-use crate::ports::parse_ints;
+use crate::ports::{PortError, parse_ints};
 use crate::status::Status;
 use crate::value::Value;
 
@@ -109,7 +108,7 @@ struct TimeExpired {
 
 impl<C> Leaf<C> for TimeExpired {
     fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
-        let seconds = match number(io, "seconds", 1.0) {
+        let seconds = match io.number_or("seconds", 1.0) {
             Ok(seconds) => seconds,
             Err(wrong) => return io.fail(wrong),
         };
@@ -131,7 +130,7 @@ struct PathExpiringTimer {
 
 impl<C> Leaf<C> for PathExpiringTimer {
     fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
-        let seconds = match number(io, "seconds", 1.0) {
+        let seconds = match io.number_or("seconds", 1.0) {
             Ok(seconds) => seconds,
             Err(wrong) => return io.fail(wrong),
         };
@@ -159,13 +158,16 @@ struct Feedback {
 ///
 /// # Errors
 /// A port, or the feedback, has another type.
-pub fn off_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
+pub fn off_path(io: &LeafIo<'_>) -> Result<Option<f64>, PortError> {
     if io.value("tracking_feedback").is_err() {
         return Ok(None);
     }
-    let feedback: Feedback = io.get_data("tracking_feedback").map_err(|wrong| wrong.to_string())?;
-    let (left, right) = (number(io, "max_error_left", 0.5)?, number(io, "max_error_right", 0.5)?);
-    let heading = number(io, "max_error_heading", std::f64::consts::PI)?;
+    let feedback: Feedback = io.get_data("tracking_feedback")?;
+    let (left, right) = (
+        io.number_or("max_error_left", 0.5)?,
+        io.number_or("max_error_right", 0.5)?,
+    );
+    let heading = io.number_or("max_error_heading", std::f64::consts::PI)?;
     let error = feedback.position_tracking_error;
     let aside = if error >= 0.0 { error <= left } else { -error <= right };
     let within = aside && feedback.heading_tracking_error.abs() <= heading;
@@ -203,7 +205,7 @@ impl<C> Leaf<C> for PosesNear {
         let (Some(one), Some(two)) = (reference, pose("target_pose")) else {
             return io.fail("there are no two poses to compare");
         };
-        match number(io, "tolerance", 0.5) {
+        match io.number_or("tolerance", 0.5) {
             Ok(tolerance) => Status::from_truth((one[0] - two[0]).hypot(one[1] - two[1]) <= tolerance),
             Err(wrong) => io.fail(wrong),
         }

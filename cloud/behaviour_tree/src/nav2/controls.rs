@@ -19,8 +19,8 @@ impl<C> Builtin<C> for PipelineSequence {
         for (index, child) in kids.iter().enumerate() {
             match run.exec(*child)? {
                 Status::Failure => return Ok(run.finish(id, Status::Failure)),
-                Status::Running if index >= run.states[id as usize].cursor as usize => {
-                    run.states[id as usize].cursor = index as u32;
+                Status::Running if index >= run.states[id].cursor as usize => {
+                    run.states[id].cursor = index as u32;
                     return Ok(Status::Running);
                 }
                 Status::Skipped => skipped += 1,
@@ -43,12 +43,12 @@ impl<C> Builtin<C> for RecoveryNode {
         let main = run.child(id, 0)?;
         let mend = run.child(id, 1)?;
         loop {
-            if run.states[id as usize].cursor == 0 {
+            if run.states[id].cursor == 0 {
                 match run.exec(main)? {
                     Status::Running => return Ok(Status::Running),
-                    Status::Failure if i64::from(run.states[id as usize].count) < retries => {
+                    Status::Failure if i64::from(run.states[id].count) < retries => {
                         run.reset(main);
-                        run.states[id as usize].cursor = 1;
+                        run.states[id].cursor = 1;
                     }
                     other => return Ok(run.finish(id, other)),
                 }
@@ -57,12 +57,12 @@ impl<C> Builtin<C> for RecoveryNode {
                     Status::Running => return Ok(Status::Running),
                     Status::Success => {
                         run.reset(mend);
-                        let state = &mut run.states[id as usize];
+                        let state = &mut run.states[id];
                         bump(&mut state.count);
                         state.cursor = 0;
                     }
                     Status::Skipped => {
-                        run.states[id as usize].cursor = 0;
+                        run.states[id].cursor = 0;
                         return Ok(Status::Failure);
                     }
                     _ => return Ok(run.finish(id, Status::Failure)),
@@ -88,15 +88,15 @@ impl<C> Builtin<C> for RoundRobin {
         let flag = |source| run.value(source).and_then(Value::as_bool).unwrap_or(false);
         let (wrap_around, last_may_succeed) = (flag(&self.wrap_around), flag(&self.last_may_succeed));
         let mut skipped = 0;
-        while (run.states[id as usize].count as usize + skipped) < kids.len() {
-            let index = run.states[id as usize].cursor as usize;
+        while (run.states[id].count as usize + skipped) < kids.len() {
+            let index = run.states[id].cursor as usize;
             let Some(child) = kids.get(index) else { break };
             let status = run.exec(*child)?;
             if status == Status::Running {
                 return Ok(Status::Running);
             }
             let last = index + 1 == kids.len();
-            run.states[id as usize].cursor = if last && wrap_around { 0 } else { index as u32 + 1 };
+            run.states[id].cursor = if last && wrap_around { 0 } else { index as u32 + 1 };
             if last && !wrap_around && !(last_may_succeed && status == Status::Success) {
                 skipped += usize::from(status == Status::Skipped);
                 break;
@@ -104,11 +104,11 @@ impl<C> Builtin<C> for RoundRobin {
             match status {
                 Status::Success => {
                     run.reset_children(id);
-                    run.states[id as usize].count = 0;
+                    run.states[id].count = 0;
                     return Ok(Status::Success);
                 }
                 Status::Skipped => skipped += 1,
-                _ => bump(&mut run.states[id as usize].count),
+                _ => bump(&mut run.states[id].count),
             }
         }
         Ok(run.finish(id, Status::Failure.unless_skipped(skipped == kids.len())))
@@ -201,18 +201,18 @@ impl<C> Builtin<C> for RateController {
         let child = run.child(id, 0)?;
         if !before.is_active() {
             let now = run.now_ns;
-            let state = &mut run.states[id as usize];
+            let state = &mut run.states[id];
             (state.mark, state.flag) = (now, false);
         }
-        let state = &run.states[id as usize];
+        let state = &run.states[id];
         let due = run.now_ns.saturating_sub(state.mark) as f64 >= 1e9 / hz;
-        if state.flag && !due && run.states[child as usize].status != Status::Running {
+        if state.flag && !due && run.states[child].status != Status::Running {
             return Ok(Status::Running);
         }
-        run.states[id as usize].flag = true;
+        run.states[id].flag = true;
         let status = run.exec_and_reset(child)?;
         if status == Status::Success {
-            run.states[id as usize].mark = run.now_ns;
+            run.states[id].mark = run.now_ns;
             run.changes += 1;
         }
         Ok(status)
@@ -225,13 +225,13 @@ pub(crate) struct SingleTrigger;
 impl<C> Builtin<C> for SingleTrigger {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
         if !before.is_active() {
-            run.states[id as usize].flag = false;
+            run.states[id].flag = false;
         }
-        if run.states[id as usize].flag {
+        if run.states[id].flag {
             return Ok(Status::Failure);
         }
         let status = run.only_child(id)?;
-        run.states[id as usize].flag = status.is_completed();
+        run.states[id].flag = status.is_completed();
         Ok(status)
     }
 }

@@ -6,6 +6,7 @@
 use super::conditions::goals;
 use crate::leaf::{Decorator, Enter, LeafIo};
 use crate::node::nanos;
+use crate::ports::PortError;
 use crate::status::Status;
 use crate::value::Value;
 
@@ -45,14 +46,6 @@ pub fn decorator<C: Travel>(id: &str) -> Option<MakeDecorator<C>> {
     })
 }
 
-/// The number on a port, or the node's default.
-pub(super) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
-    match io.get_optional::<f64>(port) {
-        Ok(value) => Ok(value.unwrap_or(otherwise)),
-        Err(wrong) => Err(wrong.to_string()),
-    }
-}
-
 /// Ticks the child on activation, while it runs, and when the robot is `distance` (m, straight) from where the child last succeeded;
 /// otherwise `Running`. Without a position: `Failure`.
 struct DistanceController;
@@ -62,7 +55,7 @@ impl<C: Travel> Decorator<C> for DistanceController {
         let Some(here) = ctx.position() else {
             return Enter::Answer(io.fail("nobody knows where the robot is"));
         };
-        let distance = match number(io, "distance", 1.0) {
+        let distance = match io.number_or("distance", 1.0) {
             Ok(distance) => distance,
             Err(wrong) => return Enter::Answer(io.fail(wrong)),
         };
@@ -107,7 +100,7 @@ impl<C: Travel> Decorator<C> for SpeedController {
         ];
         let mut numbers = [0.0; 4];
         for (slot, (port, otherwise)) in numbers.iter_mut().zip(ports) {
-            match number(io, port, otherwise) {
+            match io.number_or(port, otherwise) {
                 Ok(value) => *slot = value,
                 Err(wrong) => return Enter::Answer(io.fail(wrong)),
             }
@@ -206,15 +199,15 @@ struct PathLongerOnApproach {
 }
 
 impl PathLongerOnApproach {
-    fn is_longer<C: Travel>(&self, io: &LeafIo<'_>, ctx: &C, new: &Value) -> Result<bool, String> {
+    fn is_longer<C: Travel>(&self, io: &LeafIo<'_>, ctx: &C, new: &Value) -> Result<bool, PortError> {
         let Some(old) = self.old.as_ref().filter(|old| *old != new) else {
             return Ok(false);
         };
         let (Some(was), Some(is)) = (ctx.measure(old), ctx.measure(new)) else {
             return Ok(false);
         };
-        let near = was.left < number(io, "prox_len", 3.0)?;
-        let longer = is.length > number(io, "length_factor", 2.0)? * was.length;
+        let near = was.left < io.number_or("prox_len", 3.0)?;
+        let longer = is.length > io.number_or("length_factor", 2.0)? * was.length;
         Ok(was.end == is.end && near && longer)
     }
 }

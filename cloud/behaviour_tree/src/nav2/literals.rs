@@ -229,7 +229,6 @@ fn named<'t>(kind: &str, text: &'t str) -> Option<&'t str> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
     #[test]

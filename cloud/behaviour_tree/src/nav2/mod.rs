@@ -139,7 +139,7 @@ mod tests {
 
     #[test]
     fn every_default_is_a_value_of_its_port() {
-        for (spec, _) in rows::<()>() {
+        for (spec, _) in rows::<()>().into_iter().chain(nodes::rows()) {
             for port in &spec.ports {
                 if let Some(default) = &port.default {
                     assert!(port.kind.parse(default).is_some(), "{} {}", spec.id, port.name);

@@ -25,7 +25,7 @@ pub(crate) struct PauseResume(pub(crate) PauseEntries);
 impl<C> Builtin<C> for PauseResume {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
         let requests = [run.board.sequence(self.0.pause), run.board.sequence(self.0.resume)];
-        let state = &mut run.states[id as usize];
+        let state = &mut run.states[id];
         if before != Status::Running {
             state.cursor = RESUMED;
         }
@@ -39,7 +39,7 @@ impl<C> Builtin<C> for PauseResume {
             Ordering::Less if is_paused => switch_to(run, id, ON_RESUME),
             _ => {}
         }
-        let at = run.states[id as usize].cursor;
+        let at = run.states[id].cursor;
         let status = match run.kids(id).get(at as usize) {
             Some(child) => run.exec_and_reset(*child)?,
             // This state has no child.
@@ -76,6 +76,6 @@ impl<C> Builtin<C> for PauseResume {
 
 fn switch_to<C>(run: &mut Run<'_, C>, id: NodeId, child: u32) {
     run.reset_children(id);
-    run.states[id as usize].cursor = child;
+    run.states[id].cursor = child;
     run.changes += 1;
 }

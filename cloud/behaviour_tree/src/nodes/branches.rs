@@ -17,11 +17,11 @@ pub(crate) struct IfThenElse;
 
 impl<C> Builtin<C> for IfThenElse {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        if run.states[id as usize].cursor == 0 {
+        if run.states[id].cursor == 0 {
             let condition = run.child(id, 0)?;
             match run.exec(condition)? {
-                Status::Success => run.states[id as usize].cursor = 1,
-                Status::Failure if run.kids(id).len() > 2 => run.states[id as usize].cursor = 2,
+                Status::Success => run.states[id].cursor = 1,
+                Status::Failure if run.kids(id).len() > 2 => run.states[id].cursor = 2,
                 Status::Running => return Ok(Status::Running),
                 other => {
                     run.reset_children(id);
@@ -29,7 +29,7 @@ impl<C> Builtin<C> for IfThenElse {
                 }
             }
         }
-        let branch = run.child(id, run.states[id as usize].cursor as usize)?;
+        let branch = run.child(id, run.states[id].cursor as usize)?;
         let status = run.exec(branch)?;
         if status != Status::Running {
             run.finish(id, status);
@@ -84,7 +84,7 @@ impl<C> Builtin<C> for Switch {
                 .position(|case| run.value(case).is_some_and(|case| same(variable, case, &self.enums)))
         });
         let chosen = matching.unwrap_or(self.cases.len());
-        let running = run.states[id as usize].cursor as usize;
+        let running = run.states[id].cursor as usize;
         if running != 0 && running != chosen + 1 {
             let other = run.child(id, running - 1)?;
             run.reset(other);
@@ -92,7 +92,7 @@ impl<C> Builtin<C> for Switch {
         let child = run.child(id, chosen)?;
         let status = run.exec(child)?;
         if status == Status::Running {
-            run.states[id as usize].cursor = chosen as u32 + 1;
+            run.states[id].cursor = chosen as u32 + 1;
         } else {
             run.finish(id, status);
         }
@@ -112,11 +112,11 @@ impl<C> Builtin<C> for TryCatch {
             return Err(run.fault(id, "has no children".into()));
         };
         if !before.is_active() {
-            run.states[id as usize].skipped = 0;
+            run.states[id].skipped = 0;
         }
-        while !run.states[id as usize].flag {
-            let Some(child) = attempts.get(run.states[id as usize].cursor as usize) else {
-                let skipped = run.states[id as usize].skipped as usize == attempts.len();
+        while !run.states[id].flag {
+            let Some(child) = attempts.get(run.states[id].cursor as usize) else {
+                let skipped = run.states[id].skipped as usize == attempts.len();
                 return Ok(run.finish(id, Status::Success.unless_skipped(skipped)));
             };
             match run.exec(*child)? {
@@ -125,18 +125,18 @@ impl<C> Builtin<C> for TryCatch {
                     for child in attempts {
                         run.reset(*child);
                     }
-                    run.states[id as usize].flag = true;
+                    run.states[id].flag = true;
                     break;
                 }
-                Status::Skipped => bump(&mut run.states[id as usize].skipped),
+                Status::Skipped => bump(&mut run.states[id].skipped),
                 _ => {}
             }
-            bump(&mut run.states[id as usize].cursor);
+            bump(&mut run.states[id].cursor);
         }
         if run.exec(*catch)? == Status::Running {
             return Ok(Status::Running);
         }
-        run.states[id as usize].flag = false;
+        run.states[id].flag = false;
         Ok(run.finish(id, Status::Failure))
     }
 
@@ -144,7 +144,7 @@ impl<C> Builtin<C> for TryCatch {
     /// rest.
     fn before_halt(&self, run: &mut Run<'_, C>, id: NodeId) {
         let wanted = run.value(&self.catch_on_halt).and_then(Value::as_bool).unwrap_or(false);
-        if !wanted || run.states[id as usize].flag {
+        if !wanted || run.states[id].flag {
             return;
         }
         if let Some((catch, attempts)) = run.kids(id).split_last() {

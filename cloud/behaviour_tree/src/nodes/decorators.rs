@@ -50,17 +50,17 @@ impl<C> Builtin<C> for Again {
         let child = run.child(id, 0)?;
         loop {
             let most: i64 = run.read(id, self.port, &self.limit)?;
-            let spent = i64::from(run.states[id as usize].count);
+            let spent = i64::from(run.states[id].count);
             if most != UNLIMITED && spent >= most {
-                run.states[id as usize].count = 0;
+                run.states[id].count = 0;
                 return Ok(self.status);
             }
-            let fresh = run.states[child as usize].status == Status::Idle;
+            let fresh = run.states[child].status == Status::Idle;
             let status = run.exec_and_reset(child)?;
             if status == Status::Running || status == Status::Skipped {
                 return Ok(status);
             }
-            let state = &mut run.states[id as usize];
+            let state = &mut run.states[id];
             if status != self.status {
                 state.count = 0;
                 return Ok(status);
@@ -99,14 +99,14 @@ pub(crate) struct RunOnce {
 
 impl<C> Builtin<C> for RunOnce {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        if run.states[id as usize].flag {
+        if run.states[id].flag {
             let skip: bool = run.read(id, "then_skip", &self.then_skip)?;
-            let succeeded = run.states[id as usize].mark == 1;
+            let succeeded = run.states[id].mark == 1;
             return Ok(Status::from_truth(succeeded).unless_skipped(skip));
         }
         let status = run.only_child(id)?;
         if status.is_completed() {
-            let state = &mut run.states[id as usize];
+            let state = &mut run.states[id];
             state.flag = true;
             state.mark = u64::from(status == Status::Success);
         }
@@ -129,11 +129,11 @@ pub(crate) struct Precondition {
 
 impl<C> Builtin<C> for Precondition {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        if !run.states[id as usize].flag && !run.holds(id, &self.condition)? {
+        if !run.states[id].flag && !run.holds(id, &self.condition)? {
             return run.read(id, "else", &self.otherwise);
         }
         let status = run.only_child(id)?;
-        run.states[id as usize].flag = status == Status::Running;
+        run.states[id].flag = status == Status::Running;
         Ok(status)
     }
 }

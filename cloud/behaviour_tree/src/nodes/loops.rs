@@ -23,10 +23,10 @@ impl<C> Builtin<C> for LoopOver {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
         let child = run.child(id, 0)?;
         if !before.is_active() {
-            let state = &mut run.states[id as usize];
+            let state = &mut run.states[id];
             (state.cursor, state.flag) = (0, false);
         }
-        if !run.states[id as usize].flag {
+        if !run.states[id].flag {
             let Some(item) = self.next_item(run, id)? else {
                 return run.read(id, "if_empty", &self.if_empty);
             };
@@ -37,7 +37,7 @@ impl<C> Builtin<C> for LoopOver {
             }
         }
         let status = run.exec_and_reset(child)?;
-        run.states[id as usize].flag = status == Status::Running;
+        run.states[id].flag = status == Status::Running;
         Ok(match status {
             Status::Failure => Status::Failure,
             _ => Status::Running,
@@ -47,7 +47,7 @@ impl<C> Builtin<C> for LoopOver {
 
 impl LoopOver {
     fn next_item<C>(&self, run: &mut Run<'_, C>, id: NodeId) -> Result<Option<Value>, Stop> {
-        let index = run.states[id as usize].cursor as usize;
+        let index = run.states[id].cursor as usize;
         let item = match &self.queue {
             Source::Slot(slot) => match run.board.read(*slot) {
                 Some(Value::Data(_)) => run.board.pop_front(*slot).and_then(|item| Value::from_json(&item)),
@@ -58,7 +58,7 @@ impl LoopOver {
             Source::Unset => None,
         };
         let Some(item) = item else { return Ok(None) };
-        bump(&mut run.states[id as usize].cursor);
+        bump(&mut run.states[id].cursor);
         run.changes += 1;
         match item.convert(self.item) {
             Some(item) => Ok(Some(item)),

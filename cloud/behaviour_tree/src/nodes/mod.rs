@@ -219,19 +219,3 @@ pub(crate) fn rows<C>() -> Vec<Row<C>> {
     }
     rows
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_default_is_a_value_of_its_port() {
-        for (spec, _) in rows::<()>() {
-            for port in &spec.ports {
-                if let Some(default) = &port.default {
-                    assert!(port.kind.parse(default).is_some(), "{} {}", spec.id, port.name);
-                }
-            }
-        }
-    }
-}

@@ -40,21 +40,21 @@ impl<C> Builtin<C> for Parallel {
         }
         let mut skipped = 0;
         for child in kids {
-            if !run.states[*child as usize].done {
+            if !run.states[*child].done {
                 match run.exec(*child)? {
                     Status::Success => {
-                        run.states[*child as usize].done = true;
-                        bump(&mut run.states[id as usize].cursor);
+                        run.states[*child].done = true;
+                        bump(&mut run.states[id].cursor);
                     }
                     Status::Failure => {
-                        run.states[*child as usize].done = true;
-                        bump(&mut run.states[id as usize].count);
+                        run.states[*child].done = true;
+                        bump(&mut run.states[id].count);
                     }
                     Status::Skipped => skipped += 1,
                     _ => {}
                 }
             }
-            let state = &run.states[id as usize];
+            let state = &run.states[id];
             let (successes, failures) = (i64::from(state.cursor), i64::from(state.count));
             if successes >= needed || (asked < 0 && successes + skipped >= needed) {
                 return Ok(run.finish(id, Status::Success));
@@ -83,18 +83,18 @@ impl<C> Builtin<C> for ParallelAll {
         }
         let (mut skipped, mut done) = (0, 0);
         for child in kids {
-            if !run.states[*child as usize].done {
+            if !run.states[*child].done {
                 match run.exec(*child)? {
-                    Status::Success => run.states[*child as usize].done = true,
+                    Status::Success => run.states[*child].done = true,
                     Status::Failure => {
-                        run.states[*child as usize].done = true;
-                        bump(&mut run.states[id as usize].count);
+                        run.states[*child].done = true;
+                        bump(&mut run.states[id].count);
                     }
                     Status::Skipped => skipped += 1,
                     _ => {}
                 }
             }
-            done += usize::from(run.states[*child as usize].done);
+            done += usize::from(run.states[*child].done);
         }
         if skipped == kids.len() {
             return Ok(Status::Skipped);
@@ -102,7 +102,7 @@ impl<C> Builtin<C> for ParallelAll {
         if skipped + done < kids.len() {
             return Ok(Status::Running);
         }
-        let failed = i64::from(run.states[id as usize].count) >= limit;
+        let failed = i64::from(run.states[id].count) >= limit;
         Ok(run.finish(id, Status::from_truth(!failed)))
     }
 }

@@ -49,12 +49,12 @@ impl<C> Builtin<C> for InOrder {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
         let kids = run.kids(id);
         if !before.is_active() {
-            run.states[id as usize].skipped = 0;
+            run.states[id].skipped = 0;
         }
         loop {
-            let at = run.states[id as usize].cursor as usize;
+            let at = run.states[id].cursor as usize;
             let Some(child) = kids.get(at) else { break };
-            let fresh = run.states[*child as usize].status == Status::Idle;
+            let fresh = run.states[*child].status == Status::Idle;
             let status = run.exec(*child)?;
             if status == Status::Running {
                 return Ok(Status::Running);
@@ -66,7 +66,7 @@ impl<C> Builtin<C> for InOrder {
             if status == self.end {
                 return Ok(run.finish(id, status));
             }
-            let state = &mut run.states[id as usize];
+            let state = &mut run.states[id];
             bump(&mut state.cursor);
             if status == Status::Skipped {
                 bump(&mut state.skipped);
@@ -77,7 +77,7 @@ impl<C> Builtin<C> for InOrder {
             }
         }
         let otherwise = Status::from_truth(self.end == Status::Failure);
-        let skipped = run.states[id as usize].skipped as usize == kids.len();
+        let skipped = run.states[id].skipped as usize == kids.len();
         Ok(run.finish(id, otherwise.unless_skipped(skipped)))
     }
 

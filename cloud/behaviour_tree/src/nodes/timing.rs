@@ -15,18 +15,18 @@ pub(crate) struct Timeout(pub(crate) Source);
 impl<C> Builtin<C> for Timeout {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
         let child = run.child(id, 0)?;
-        if !run.states[id as usize].flag {
+        if !run.states[id].flag {
             start_clock(run, id, "msec", &self.0)?;
         }
-        let state = &run.states[id as usize];
+        let state = &run.states[id];
         let over = state.mark < u64::MAX && run.now_ns >= state.mark;
-        if over && run.states[child as usize].status == Status::Running {
+        if over && run.states[child].status == Status::Running {
             run.reset(child);
-            run.states[id as usize].flag = false;
+            run.states[id].flag = false;
             return Ok(Status::Failure);
         }
         let status = run.exec_and_reset(child)?;
-        run.states[id as usize].flag = status == Status::Running;
+        run.states[id].flag = status == Status::Running;
         Ok(status)
     }
 }
@@ -36,15 +36,15 @@ pub(crate) struct Delay(pub(crate) Source);
 
 impl<C> Builtin<C> for Delay {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        if !run.states[id as usize].flag {
+        if !run.states[id].flag {
             start_clock(run, id, "delay_msec", &self.0)?;
         }
-        let state = &run.states[id as usize];
+        let state = &run.states[id];
         if state.mark < u64::MAX && run.now_ns < state.mark {
             return Ok(Status::Running);
         }
         let status = run.only_child(id)?;
-        run.states[id as usize].flag = status == Status::Running;
+        run.states[id].flag = status == Status::Running;
         Ok(status)
     }
 }
@@ -57,7 +57,7 @@ impl<C> Builtin<C> for Sleep {
         if before != Status::Running {
             start_clock(run, id, "msec", &self.0)?;
         }
-        let end = run.states[id as usize].mark;
+        let end = run.states[id].mark;
         Ok(if end == u64::MAX || run.now_ns >= end {
             Status::Success
         } else {
@@ -74,7 +74,7 @@ fn start_clock<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, ms: &Source) -> 
     } else {
         u64::MAX
     };
-    let state = &mut run.states[id as usize];
+    let state = &mut run.states[id];
     state.flag = true;
     state.mark = end;
     Ok(())

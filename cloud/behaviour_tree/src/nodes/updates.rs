@@ -18,11 +18,11 @@ pub(crate) struct IfUpdated {
 
 impl<C> Builtin<C> for IfUpdated {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        if !run.states[id as usize].flag && !was_written(run, id, self.slot) {
+        if !run.states[id].flag && !was_written(run, id, self.slot) {
             return Ok(self.otherwise);
         }
         let status = run.only_child(id)?;
-        run.states[id as usize].flag = status == Status::Running;
+        run.states[id].flag = status == Status::Running;
         Ok(status)
     }
 
@@ -47,5 +47,5 @@ fn was_written<C>(run: &mut Run<'_, C>, id: NodeId, slot: Slot) -> bool {
         return false;
     }
     let current = run.board.sequence(slot);
-    std::mem::replace(&mut run.states[id as usize].mark, current) != current
+    std::mem::replace(&mut run.states[id].mark, current) != current
 }

@@ -203,7 +203,6 @@ pub(crate) fn is_same(left: f64, right: f64) -> bool {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "tests")]
     use std::collections::BTreeMap;
     use std::sync::Arc;
 

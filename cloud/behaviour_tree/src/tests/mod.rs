@@ -1,5 +1,4 @@
 //! Tests of the engine as a whole: one test per row of the semantics table, whole trees, invalid files, snapshots.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 mod bad_files;
 mod branches;

@@ -65,6 +65,7 @@ pub(super) fn guard(text: &str, depth: usize) -> Result<(), Refused> {
     Ok(())
 }
 
+#[derive(Default)]
 struct Tag {
     attributes: usize,
     namespace: Option<usize>,
@@ -74,12 +75,7 @@ struct Tag {
 
 /// Scans to the end of a start tag, skipping quoted values.
 fn tag(bytes: &[u8], mut at: usize) -> Tag {
-    let mut tag = Tag {
-        attributes: 0,
-        namespace: None,
-        closes_itself: false,
-        end: None,
-    };
+    let mut tag = Tag::default();
     while let Some(byte) = bytes.get(at) {
         match byte {
             b'"' | b'\'' => match find(bytes, at + 1, &[*byte]) {
@@ -116,7 +112,6 @@ fn find(bytes: &[u8], from: usize, what: &[u8]) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
     #[test]

@@ -91,7 +91,6 @@ fn only_tree(text: &str) -> Option<(usize, String)> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

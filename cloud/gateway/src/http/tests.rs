@@ -1,7 +1,5 @@
 //! Tests of the HTTP interface, without a network.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
@@ -49,11 +47,7 @@ impl Operator for Scribe {
         let answer = if goal.x.is_some_and(|x| x > 100.0) {
             Err(AskFailure::Refused(Refusal::Rejected {
                 reason: "occupied".into(),
-                nearest_free: Some(GoalPoint {
-                    x: 1.0,
-                    y: 2.0,
-                    yaw: None,
-                }),
+                nearest_free: Some(GoalPoint::at(1.0, 2.0)),
             }))
         } else {
             Ok(Self::reply(&id, GoalPhase::Accepted))
@@ -148,14 +142,7 @@ struct Site {
 }
 
 fn site(token: Option<&str>, settings: GatewaySettings) -> Site {
-    let places = BTreeMap::from([(
-        "sink".to_owned(),
-        GoalPoint {
-            x: 0.9,
-            y: 0.1,
-            yaw: None,
-        },
-    )]);
+    let places = BTreeMap::from([("sink".to_owned(), GoalPoint::at(0.9, 0.1))]);
     let hub = Hub::new(settings, places);
     for robot in ["tiago", "mute"] {
         let (component, alive) = ("edge".to_owned(), true);

@@ -281,7 +281,7 @@ impl FleetView {
     /// # use zenav_protocol::{grid::GridSpec, messages::{MapPatch, MapRef, TILE, Tile}, time::Stamp};
     /// # let patch = MapPatch {
     /// #     stamp: Stamp(1),
-    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     map: MapRef::new("kitchen", 1),
     /// #     base_revision: 0,
     /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
     /// #     tiles: vec![Tile { x: 0, y: 0, values: vec![0; (TILE * TILE) as usize] }],

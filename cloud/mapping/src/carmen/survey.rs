@@ -39,7 +39,7 @@ pub(super) struct Reading {
     /// Whether `RAWLASER1` lines are read.
     pub(super) reads_raw: bool,
     /// Views that differ from what the lines say.
-    views: BTreeMap<view::Kind, View>,
+    views: BTreeMap<view::Layout, View>,
 }
 
 /// Where the pose of a scan is.
@@ -131,8 +131,8 @@ impl Reading {
             }
             _ => self.nothing_seen,
         };
-        let kind = (sweep.kind == Kind::Front, ranges.len());
-        let view = self.views.get(&kind).copied().unwrap_or(sweep.view);
+        let layout = (sweep.kind == Kind::Front, ranges.len());
+        let view = self.views.get(&layout).copied().unwrap_or(sweep.view);
         if view.is_clockwise {
             ranges.reverse();
         }
@@ -192,7 +192,7 @@ pub(super) fn survey<R: BufRead>(
     reading.clock = clock;
     reading.nothing_seen = gathered.readings.no_return().unwrap_or(NOTHING_SEEN);
     reading.views = gathered.turns.others();
-    remarks.extend(reading.views.iter().map(|(kind, view)| told(*kind, view)));
+    remarks.extend(reading.views.iter().map(|(layout, view)| told(*layout, view)));
     Ok(Survey {
         reading,
         lines: gathered.lines,
@@ -201,7 +201,7 @@ pub(super) fn survey<R: BufRead>(
 }
 
 /// A remark about a view.
-fn told((is_front, readings): view::Kind, view: &View) -> String {
+fn told((is_front, readings): view::Layout, view: &View) -> String {
     let tag = if is_front { "FLASER" } else { "ROBOTLASER1" };
     let degrees = (readings.saturating_sub(1) as f64 * view.angle_increment).to_degrees();
     let way = if view.is_clockwise {
@@ -334,12 +334,12 @@ impl Gathered {
             self.by_robot += by_robot;
             self.idle += if by_laser == 0.0 { by_robot } else { 0.0 };
         }
-        let (kind, view) = ((sweep.kind == Kind::Front, sweep.ranges.len()), sweep.view);
+        let (layout, view) = ((sweep.kind == Kind::Front, sweep.ranges.len()), sweep.view);
         let scan = reading.scan(sweep, line, self.lines.len() as u64);
         self.lines.push(line);
         if scan.is_sane() {
             self.readings.add(scan.map_from_laser().position(), &scan.ranges);
-            self.turns.add(kind, view, &scan);
+            self.turns.add(layout, view, &scan);
         }
     }
 

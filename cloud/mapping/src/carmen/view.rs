@@ -120,8 +120,8 @@ impl View {
     }
 }
 
-/// Sweeps of one kind: whether they are `FLASER` lines, and their number of readings.
-pub(super) type Kind = (bool, usize);
+/// The layout of a line: whether it is a `FLASER` line, and its number of readings.
+pub(super) type Layout = (bool, usize);
 
 /// What the turns of a log say about the view of one kind of sweep.
 #[derive(Clone, Debug)]
@@ -133,10 +133,10 @@ struct Evidence {
     turns: usize,
 }
 
-/// A sweep: its kind, the pose of the laser, and the readings in the order of their line.
+/// A sweep with its pose: the layout of its line, the pose of the laser, and the readings in the order of their line.
 #[derive(Clone, Debug)]
-struct Sweep {
-    kind: Kind,
+struct Posed {
+    layout: Layout,
     pose: Pose2,
     ranges: Vec<f32>,
 }
@@ -144,13 +144,13 @@ struct Sweep {
 /// The turns of a log.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Turns {
-    before: Option<Sweep>,
-    kinds: BTreeMap<Kind, Evidence>,
+    before: Option<Posed>,
+    layouts: BTreeMap<Layout, Evidence>,
 }
 
 impl Turns {
     /// Takes in a sweep, as read with its `usual` view.
-    pub(super) fn add(&mut self, kind: Kind, usual: View, scan: &Scan) {
+    pub(super) fn add(&mut self, layout: Layout, usual: View, scan: &Scan) {
         let mut ranges: Vec<f32> = scan.ranges.clone();
         for range in ranges.iter_mut().filter(|range| !scan.is_return(**range)) {
             *range = f32::NAN;
@@ -159,8 +159,12 @@ impl Turns {
             ranges.reverse();
         }
         let pose = scan.map_from_laser();
-        let now = Sweep { kind, pose, ranges };
-        let Some(before) = self.before.replace(now.clone()).filter(|before| before.kind == kind) else {
+        let now = Posed { layout, pose, ranges };
+        let Some(before) = self
+            .before
+            .replace(now.clone())
+            .filter(|before| before.layout == layout)
+        else {
             return;
         };
         let turn = wrap_angle(now.pose.yaw - before.pose.yaw);
@@ -168,21 +172,24 @@ impl Turns {
         if !is_turn || now.ranges.len() < LEAST_READINGS {
             return;
         }
-        let evidence = self.kinds.entry(kind).or_insert_with(|| Evidence::new(kind, usual));
+        let evidence = self
+            .layouts
+            .entry(layout)
+            .or_insert_with(|| Evidence::new(layout, usual));
         evidence.add(&before.ranges, &now.ranges, turn);
     }
 
     /// The views that differ from the usual ones.
-    pub(super) fn others(&self) -> BTreeMap<Kind, View> {
-        let others = self.kinds.iter();
+    pub(super) fn others(&self) -> BTreeMap<Layout, View> {
+        let others = self.layouts.iter();
         others
-            .filter_map(|(kind, evidence)| Some((*kind, evidence.other()?)))
+            .filter_map(|(layout, evidence)| Some((*layout, evidence.other()?)))
             .collect()
     }
 }
 
 impl Evidence {
-    fn new((is_front, readings): Kind, usual: View) -> Self {
+    fn new((is_front, readings): Layout, usual: View) -> Self {
         let mut views = vec![usual];
         if is_front && !HALF_CIRCLES.contains(&readings) {
             let possible = [
@@ -253,7 +260,6 @@ fn difference(before: &[f32], now: &[f32], by: f64) -> Option<f64> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -109,7 +109,6 @@ fn checked_size(width: u64, height: u64) -> Result<usize, ImageError> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
 

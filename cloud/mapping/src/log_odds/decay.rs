@@ -241,7 +241,6 @@ fn is_occupied(byte: u8, model: &QuantizedModel) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use zenav_protocol::geometry::Pose2;

@@ -51,7 +51,7 @@ const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Converts a coordinate to fixed point, rounding to nearest. Meaningless for coordinates beyond every grid.
 ///
-/// Adding 1.5 * 2^20 leaves 32 fractional bits in the mantissa: a few times faster than a saturating conversion.
+/// Adding 1.5 * 2^20 leaves 32 fractional bits in the mantissa, without the comparisons of a saturating conversion.
 fn fixed(cells: f64) -> i64 {
     const SHIFT: f64 = 1_572_864.0;
     (cells + SHIFT).to_bits().wrapping_sub(SHIFT.to_bits()).cast_signed()

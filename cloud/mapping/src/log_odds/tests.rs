@@ -1,7 +1,5 @@
 //! Tests of inserting beams into the grid.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use zenav_protocol::grid::{Cell, Occupancy};
 use zenav_protocol::messages::TILE;
 use zenav_protocol::time::Stamp;
@@ -248,8 +246,7 @@ fn known_values_are_taken_over_and_padded() {
         width: 70,
         height: 3,
     };
-    let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-    grid[Cell::new(69, 2)] = Occupancy::OCCUPIED;
+    let grid = zenav_fixtures::map_with_occupied(spec, &[(69, 2)]);
     let map = LogOddsGrid::from_occupancy(&grid, &SensorModel::default());
     assert_eq!(
         (map.spec().width, map.spec().height, map.spec().origin),

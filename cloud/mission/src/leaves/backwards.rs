@@ -1,70 +1,19 @@
 //! Tests of paths with legs that are driven backwards, from ComputePathToPose to FollowPath.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
-
-use std::time::Duration;
 
 use nalgebra::Point2;
-use zenav_behaviour_tree::{Status, Tree};
+use zenav_behaviour_tree::Status;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{MotionReply, MotionRequest, PlanReply, SmoothRequest, TrajectoryReply};
+use zenav_protocol::messages::{MotionReply, PlanReply, TrajectoryReply};
 use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
-use super::parse_path;
 use super::path::DrivenPath;
-use crate::context::Context;
-use crate::io::{Answer, Ask};
-use crate::rig::Rig;
+use crate::rig::Drive;
 use crate::route::RouteData;
-use crate::trees::build;
 
-/// A tree, and a robot at the origin that faces along x.
-struct Drive {
-    rig: Rig,
-    tree: Tree<Context>,
-}
-
-impl Drive {
-    fn new(nodes: &str) -> Self {
-        let text = format!(r#"<root BTCPP_format="4"><BehaviorTree ID="Main">{nodes}</BehaviorTree></root>"#);
-        Self {
-            rig: Rig::new(),
-            tree: build(&text).unwrap(),
-        }
-    }
-
-    fn tick(&mut self, secs: f64) -> Status {
-        self.rig.at(secs);
-        let status = self.tree.tick(Duration::from_secs_f64(secs), &mut self.rig.ctx);
-        status.unwrap()
-    }
-
-    /// Ticks; then a motion worker answers, in the next tick.
-    fn told(&mut self, secs: f64, reply: MotionReply) -> Status {
-        assert_eq!(self.tick(secs), Status::Running, "{:?}", self.rig.ctx.goal.failure);
-        self.rig.answer(reply);
-        self.tick(secs + 0.05)
-    }
-
-    /// A motion worker is asked to smooth a path, and answers.
-    fn smooths(&mut self, reply: Trajectory) -> SmoothRequest {
-        let asked = self.rig.ctx.asks.take_new().into_iter();
-        let mut requests = asked.filter_map(|(ticket, ask)| match ask {
-            Ask::Motion(request) => Some((ticket, *request)),
-            _ => None,
-        });
-        let Some((ticket, MotionRequest::Smooth(request))) = requests.next() else {
-            panic!("nothing is to be smoothed")
-        };
-        let reply = MotionReply::Smooth(self.rig.smooth(reply));
-        self.rig.ctx.asks.answer(ticket, Ok(Answer::Motion(Box::new(reply))));
-        request
-    }
-
-    /// Corners of a path on the blackboard, m along x, and its legs that are driven backwards.
-    fn path(&self, key: &str) -> (Vec<f64>, Vec<usize>) {
-        let path = parse_path(self.tree.blackboard().get(key).unwrap()).unwrap();
-        (along(&path.points), path.backwards)
-    }
+/// Corners of a path on the blackboard, m along x, and its legs that are driven backwards.
+fn driven(drive: &Drive, key: &str) -> (Vec<f64>, Vec<usize>) {
+    let path = drive.path(key);
+    (along(&path.points), path.backwards)
 }
 
 fn along(points: &[Point2<f64>]) -> Vec<f64> {
@@ -108,13 +57,13 @@ fn a_leg_that_is_planned_backwards_stays_so_until_it_is_driven() {
         plan,
         arrival_secs: None,
     };
-    assert_eq!(drive.told(2.0, MotionReply::Trajectory(found)), Status::Running);
-    assert_eq!(drive.path("path"), expected);
+    assert_eq!(drive.told(2.0, |_| MotionReply::Trajectory(found)), Status::Running);
+    assert_eq!(driven(&drive, "path"), expected);
     let request = drive.smooths(backs());
     assert_eq!((along(&request.path), request.backwards), expected);
     assert!(request.start.distance(&Pose2::IDENTITY) < 1e-9 && request.start.yaw.abs() < 1e-9);
     assert_eq!(drive.tick(2.1), Status::Running);
-    assert_eq!(drive.path("smooth"), expected);
+    assert_eq!(driven(&drive, "smooth"), expected);
     let request = drive.smooths(backs());
     assert_eq!((along(&request.path), request.backwards), expected);
     let tracking = drive.tree.blackboard().get("tracking").unwrap().to_json();
@@ -150,9 +99,9 @@ fn a_path_from_elsewhere_has_the_planned_reverse_legs_and_an_index_of_no_leg_fai
             backwards,
             ..drive.rig.found(&[(-1.0, 0.0)])
         };
-        assert_eq!(drive.told(2.0, MotionReply::Plan(plan)), status);
+        assert_eq!(drive.told(2.0, |_| MotionReply::Plan(plan)), status);
         if status == Status::Success {
-            assert_eq!(drive.path("path"), (vec![0.0, -1.0, 12.0], vec![0]));
+            assert_eq!(driven(&drive, "path"), (vec![0.0, -1.0, 12.0], vec![0]));
         }
     }
 }

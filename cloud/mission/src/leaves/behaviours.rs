@@ -7,7 +7,6 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourRequest, BehaviourState};
 use zenav_protocol::time::Stamp;
 
-use super::ports::number;
 use super::{fail, no_error, step};
 use crate::context::Context;
 use crate::io::{Answer, NoAnswer, Ticket};
@@ -21,24 +20,12 @@ const PERIOD: f64 = 0.2;
 /// Remainder below which a maneuver interrupted by a pause counts as done, m and rad.
 const ALL_BUT: (f64, f64) = (0.02, 0.03);
 
-/// Nav2's error codes of maneuvers, by registration id.
-#[derive(Clone, Copy)]
-struct Codes {
-    unknown: i64,
-    timeout: i64,
-}
-
-impl Codes {
-    fn of(id: &str) -> Self {
-        let unknown = match id {
-            "Spin" => 700,
-            "BackUp" => 710,
-            _ => 720,
-        };
-        Self {
-            unknown,
-            timeout: unknown + 1,
-        }
+/// Nav2's error code of a failed maneuver, by registration id. The next one means that it took too long.
+fn failed(id: &str) -> i64 {
+    match id {
+        "Spin" => 700,
+        "BackUp" => 710,
+        _ => 720,
     }
 }
 
@@ -94,11 +81,11 @@ impl Execution {
 
 impl Leaf<Context> for Behaviour {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let codes = Codes::of(io.id());
-        let allowance = number(io, "time_allowance", f64::INFINITY);
+        let code = failed(io.id());
+        let allowance = io.number_or("time_allowance", f64::INFINITY).map_err(String::from);
         let (action, allowance) = match (action(io), allowance) {
             (Ok(action), Ok(allowance)) => (action, allowance),
-            (Err(why), _) | (_, Err(why)) => return fail(io, ctx, Some(codes.unknown), why),
+            (Err(why), _) | (_, Err(why)) => return fail(io, ctx, Some(code), why),
         };
         *self = Self {
             since: ctx.now,
@@ -112,16 +99,16 @@ impl Leaf<Context> for Behaviour {
             from: ctx.robot.pose(),
         };
         if let Err(error) = io.remember(&execution) {
-            return fail(io, ctx, Some(codes.unknown), error.to_string());
+            return fail(io, ctx, Some(code), error.to_string());
         }
         // The request follows in the next tick, when the execution's id is stored.
         step(io, ctx, "begins")
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let codes = Codes::of(io.id());
+        let code = failed(io.id());
         let Some(execution) = io.recall::<Execution>() else {
-            return fail(io, ctx, Some(codes.unknown), "the execution id is lost");
+            return fail(io, ctx, Some(code), "the execution id is lost");
         };
         if ctx.cancels(io.id()) != self.cancels {
             self.halt(io, ctx);
@@ -130,7 +117,7 @@ impl Leaf<Context> for Behaviour {
         }
         if execution.until.is_some_and(|until| io.now().as_secs_f64() > until) {
             self.halt(io, ctx);
-            return fail(io, ctx, Some(codes.timeout), "not finished within `time_allowance`");
+            return fail(io, ctx, Some(code + 1), "not finished within `time_allowance`");
         }
         let Some(epoch) = ctx.lease.epoch() else {
             self.since = ctx.now;
@@ -155,9 +142,9 @@ impl Leaf<Context> for Behaviour {
                     }
                 }
                 Ok(_) => {}
-                Err(NoAnswer::Refused(refusal)) => return fail(io, ctx, Some(codes.unknown), refusal.to_string()),
+                Err(NoAnswer::Refused(refusal)) => return fail(io, ctx, Some(code), refusal.to_string()),
                 Err(NoAnswer::Silent(why)) if ctx.now.secs_since(self.since) > PATIENCE => {
-                    return fail(io, ctx, Some(codes.unknown), why);
+                    return fail(io, ctx, Some(code), why);
                 }
                 Err(NoAnswer::Silent(_)) => {}
             }
@@ -188,9 +175,7 @@ impl Leaf<Context> for Behaviour {
     }
 
     fn halt(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
-        if let Some(ticket) = self.ticket.take() {
-            ctx.asks.forget(ticket);
-        }
+        ctx.asks.forget(self.ticket.take());
         if let Some(execution) = io.recall::<Execution>() {
             ctx.call_off(execution.id);
         }
@@ -216,7 +201,7 @@ impl Behaviour {
             ..execution
         };
         if let Err(error) = io.remember(&rest) {
-            return Some(fail(io, ctx, Some(Codes::of(io.id()).unknown), error.to_string()));
+            return Some(fail(io, ctx, Some(failed(io.id())), error.to_string()));
         }
         *self = Self {
             since: ctx.now,
@@ -229,15 +214,13 @@ impl Behaviour {
 
 /// The maneuver requested by the node's ports.
 fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
-    let get = |port: &str, default: f64| match io.get_optional::<f64>(port) {
-        Ok(value) => Ok(value.unwrap_or(default)).and_then(|value| {
-            if value.is_finite() {
-                Ok(value)
-            } else {
-                Err(format!("`{port}`: expected a finite number"))
-            }
-        }),
-        Err(error) => Err(error.to_string()),
+    let get = |port: &str, default: f64| -> Result<f64, String> {
+        let value = io.number_or(port, default)?;
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            Err(format!("`{port}`: expected a finite number"))
+        }
     };
     Ok(match io.id() {
         "Spin" => BehaviourAction::Spin {
@@ -271,7 +254,7 @@ fn judge(io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Op
                 .reason
                 .clone()
                 .unwrap_or_else(|| format!("{:?}", report.state).to_lowercase());
-            let code = Codes::of(io.id()).unknown;
+            let code = failed(io.id());
             Some(fail(io, ctx, Some(code), why))
         }
     }

@@ -1,11 +1,10 @@
 //! ComputePathToPose, ComputePathThroughPoses: plan and smooth a path to the goal or through goals with a motion worker, and write it to
 //! the blackboard. With `start` the path begins there instead of at the robot, and has no trajectory.
 
-use nalgebra::Point2;
 use zenav_protocol::messages::GoalPoint;
 
 use super::path::DrivenPath;
-use super::ports::{goal_on, goals_on, pose_of};
+use super::ports::{goal_on, goals_on, write};
 use super::selectors::Choice;
 use super::{fail, no_error, step};
 use crate::context::Context;
@@ -64,7 +63,7 @@ fn route_request(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, S
         .get_optional::<bool>("use_start")
         .map_err(|error| unknown(error.to_string()))?;
     let from = if use_start != Some(false) && io.value("start").is_ok() {
-        Some(pose_of(&goal_on(io, ctx, "start").map_err(unknown)?))
+        Some(goal_on(io, ctx, "start").map_err(unknown)?.pose())
     } else if use_start == Some(true) {
         return Err(unknown("`use_start` without a `start`".to_owned()));
     } else {
@@ -148,10 +147,7 @@ impl Leaf<Context> for ComputePath {
                     driven: 0.0,
                     place: io.get("goal").ok().filter(|name| ctx.config.places.contains_key(name)),
                 };
-                let written = data
-                    .value()
-                    .and_then(|value| io.set("path", value).map_err(|error| error.to_string()));
-                if let Err(why) = written {
+                if let Err(why) = write(io, "path", data.value()) {
                     let code = code(io, error_code::UNKNOWN);
                     return fail(io, ctx, Some(code), why);
                 }
@@ -167,7 +163,7 @@ impl Leaf<Context> for ComputePath {
                     && ctx.now.secs_since(ctx.goal.started) < ctx.config.settings.linger =>
             {
                 search.again_at(ctx.now.plus_secs(LOOK_AGAIN));
-                look_at(ctx, Point2::new(request.goal.x, request.goal.y));
+                look_at(ctx, request.goal.position());
                 step(io, ctx, &format!("looks again: {}", no_route.reason))
             }
             Searching::Failed(no_route) => {

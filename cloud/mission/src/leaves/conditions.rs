@@ -3,13 +3,9 @@
 use nalgebra::Point2;
 
 use super::SyncLeaf;
-use super::ports::{here, number};
+use super::ports::robot_pose;
 use crate::context::Context;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
-
-fn status(holds: bool) -> Status {
-    if holds { Status::Success } else { Status::Failure }
-}
 
 /// FAILURE until the robot is `distance` (straight) from its position at activation, then SUCCESS once, and again from there.
 #[derive(Default)]
@@ -19,13 +15,13 @@ pub struct DistanceTraveled {
 
 impl SyncLeaf for DistanceTraveled {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let (here, distance) = (here(ctx)?.position(), number(io, "distance", 1.0)?);
+        let (here, distance) = (robot_pose(ctx)?.position(), io.number_or("distance", 1.0)?);
         let from = self.from.filter(|_| io.previous().is_active());
         let traveled = from.is_some_and(|from| (here - from).norm() >= distance);
         if traveled || from.is_none() {
             self.from = Some(here);
         }
-        Ok(status(traveled))
+        Ok(Status::from_truth(traveled))
     }
 }
 
@@ -34,9 +30,8 @@ pub struct IsStuck;
 
 impl SyncLeaf for IsStuck {
     fn answer(&mut self, _: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        Ok(status(
-            ctx.robot.was_bumped_within(ctx.now, ctx.config.settings.bump_memory),
-        ))
+        let bumped = ctx.robot.was_bumped_within(ctx.now, ctx.config.settings.bump_memory);
+        Ok(Status::from_truth(bumped))
     }
 }
 
@@ -45,7 +40,8 @@ pub struct TransformAvailable;
 
 impl SyncLeaf for TransformAvailable {
     fn answer(&mut self, _: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        Ok(status(ctx.robot.is_heard(ctx.now) && ctx.robot.pose().is_some()))
+        let available = ctx.robot.is_heard(ctx.now) && ctx.robot.pose().is_some();
+        Ok(Status::from_truth(available))
     }
 }
 
@@ -57,8 +53,8 @@ pub struct CheckStopStatus {
 
 impl CheckStopStatus {
     fn look(&mut self, io: &LeafIo<'_>, ctx: &Context) -> Result<Status, String> {
-        let threshold = number(io, "velocity_threshold", 0.01)?;
-        let duration = number(io, "duration_stopped", 1000.0)? * 1e-3;
+        let threshold = io.number_or("velocity_threshold", 0.01)?;
+        let duration = io.number_or("duration_stopped", 1000.0)? * 1e-3;
         let (now, twist) = (io.now().as_secs_f64(), ctx.robot.velocity());
         if twist.v.abs() >= threshold || twist.w.abs() >= threshold {
             return Ok(Status::Failure);

@@ -5,6 +5,8 @@
 //! robot refuses plan after plan, or when its scans deny that it is at the goal. Without the lease, or while the robot is stopped or driven
 //! by hand, it waits.
 
+mod alternatives;
+
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -16,14 +18,15 @@ use super::ports::{OLD_FRAME, path_on};
 use super::progress::Progress;
 use super::selectors::Choice;
 use super::tracking::Tracking;
-use super::{fail, no_error, step};
+use super::{abort, fail, no_error, remember, step};
 use crate::context::Context;
-use crate::motion::{PlanStatus, Recheck, recheck};
-use crate::route::{Route, RouteData, RouteRequest, Search, Searching, is_long, short_way_opens};
+use crate::motion::{PlanStatus, Recheck};
+use crate::route::{Route, RouteData, RouteRequest, Search, Searching, is_long};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Nav2's error codes of path following.
-mod error_code {
+pub mod error_code {
+    pub const UNKNOWN: i64 = 100;
     pub const INVALID_CONTROLLER: i64 = 101;
     pub const TF_ERROR: i64 = 102;
     pub const INVALID_PATH: i64 = 103;
@@ -31,14 +34,6 @@ mod error_code {
     pub const NO_VALID_CONTROL: i64 = 106;
 }
 
-/// Another path is taken if it saves at least this much time over the driven one, waits for other robots included, s; time between two
-/// searches for one, s.
-const WORTH_IT: f64 = 1.0;
-const LOOK_PERIOD: f64 = 0.4;
-/// That time doubles after every fourth search, so often at most.
-const MOST_DOUBLED: u32 = 3;
-/// A search for such a path is given up after this, s: the other robots are elsewhere by then.
-const OTHER_SECS: f64 = 2.0;
 /// Wait before searching again after a route could not be checked, s.
 const AFTER_UNCHECKED: f64 = 1.0;
 /// Greatest distance of the robot from the start of a route from rest, m.
@@ -96,7 +91,7 @@ struct Memory {
 
 /// Whether the robot stands at a goal without a heading.
 fn is_there(ctx: &Context, goal: &GoalPoint) -> bool {
-    let near = |pose: Pose2| (pose.x - goal.x).hypot(pose.y - goal.y) <= THERE * ctx.goal.tolerance;
+    let near = |pose: Pose2| pose.distance(&goal.pose()) <= THERE * ctx.goal.tolerance;
     goal.yaw.is_none() && ctx.robot.is_at_rest() && ctx.robot.pose().is_some_and(near)
 }
 
@@ -121,7 +116,7 @@ impl Leaf<Context> for FollowPath {
             Ok(_) => return fail(io, ctx, Some(error_code::INVALID_PATH), "the path is empty"),
             Err(why) => return fail(io, ctx, Some(error_code::INVALID_PATH), why),
         };
-        let Some(data) = data.here(&ctx.frames) else {
+        let Some(data) = data.settled(&ctx.frames) else {
             return fail(io, ctx, Some(error_code::INVALID_PATH), OLD_FRAME);
         };
         self.frame = ctx.frames.at();
@@ -145,14 +140,12 @@ impl Leaf<Context> for FollowPath {
         // A drive is named after its node, or, if the node has no name, after its destination.
         let named = data.place.as_deref().filter(|_| io.name() == io.id());
         ctx.begin_leg(named.unwrap_or(io.name()), Some(data.goal), data.length);
-        self.remember(
-            io,
-            Memory {
-                goal: data.goal,
-                motion: None,
-                frame: self.frame,
-            },
-        );
+        let memory = Memory {
+            goal: data.goal,
+            motion: None,
+            frame: self.frame,
+        };
+        remember(io, &memory);
         if self.offered.is_none() {
             self.follow_points(ctx, &data);
         }
@@ -263,7 +256,7 @@ impl FollowPath {
         let left = ctx
             .robot
             .pose()
-            .map_or(f64::INFINITY, |pose| (pose.x - goal.x).hypot(pose.y - goal.y));
+            .map_or(f64::INFINITY, |pose| pose.distance(&goal.pose()));
         if left <= ctx.goal.tolerance {
             if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
                 return Some(self.end(io, ctx, error_code::TF_ERROR, why));
@@ -293,11 +286,11 @@ impl FollowPath {
         memory.goal = ctx.frames.place(before, memory.goal);
         memory.frame = ctx.frames.at();
         self.frame = memory.frame;
-        self.remember(io, *memory);
+        remember(io, memory);
         self.tracking.settle(before, ctx);
         self.offered = None;
         self.stop_other(ctx);
-        let parted = (along.x - memory.goal.x).hypot(along.y - memory.goal.y) > PARTED;
+        let parted = along.pose().distance(&memory.goal.pose()) > PARTED;
         let is_blocked = self.blocked_at.is_some() || self.search.as_ref().is_some_and(Search::is_waiting);
         if self.search.is_some() || parted {
             self.begin_search(ctx, memory.goal, 0.0);
@@ -306,63 +299,6 @@ impl FollowPath {
             self.search = self.search.take().map(Search::at_once);
         }
         true
-    }
-
-    /// The tree may write a newer path to the port while this one is driven.
-    fn look_for_offer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) {
-        let sequence = io.sequence("path");
-        if sequence == self.path_sequence {
-            return;
-        }
-        self.path_sequence = sequence;
-        if let Ok(data) = path_on(io, "path")
-            && !data.points.is_empty()
-            && let Some(data) = data.here(&ctx.frames)
-        {
-            let route = ctx.route(data.route);
-            if let Some(route) = &route
-                && memory.goal == data.goal
-                && self.weighs(ctx, &data, route)
-            {
-                return;
-            }
-            self.offered = route;
-            if memory.goal != data.goal {
-                memory.goal = data.goal;
-                self.remember(io, *memory);
-            }
-            if self.tracking.follow(data.clone()) && self.offered.is_none() {
-                self.follow_points(ctx, &data);
-            }
-        }
-    }
-
-    /// Whether an offered route is left to this leaf's own search: one through the same goals, much longer than the plan in force, while
-    /// something blocks that. The search weighs it against waiting.
-    fn weighs(&mut self, ctx: &mut Context, data: &RouteData, route: &Route) -> bool {
-        let is_same_way = data.via == self.tracking.goals_ahead();
-        if ctx.config.settings.patience <= 0.0 || !is_same_way || !is_long(ctx, &data.via, route) {
-            return false;
-        }
-        if let Some(search) = &self.search {
-            return search.is_waiting() || self.blocked_at.is_some();
-        }
-        match self.recheck(ctx) {
-            Ok(Recheck::Blocked(ahead)) if ctx.motion.status() == Some(&PlanStatus::Taken) => {
-                if self.needs_replan(ctx, ahead) {
-                    self.replan(ctx, data.goal, ahead);
-                }
-                true
-            }
-            _ => false,
-        }
-    }
-
-    /// Rechecks the plan in force from the robot's position on; `Err` if it cannot be checked.
-    fn recheck(&self, ctx: &mut Context) -> Result<Recheck, String> {
-        let (time, escape) = (self.where_it_is(ctx).0, ctx.config.settings.escape);
-        let space = ctx.space_now()?;
-        Ok(ctx.motion.recheck(&space, time, escape))
     }
 
     /// Whether an obstacle this far ahead on the plan in force, s, needs a replan: just after the last one only if it is near.
@@ -403,10 +339,7 @@ impl FollowPath {
 
     /// Puts a route into force if it is free on the newest map.
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
-        match ctx
-            .space_now()
-            .map(|space| recheck(&route.plan.trajectory, &space, 0.0, ctx.config.settings.escape))
-        {
+        match ctx.recheck_new(&route.plan.trajectory) {
             Ok(Recheck::Free) => {}
             Ok(Recheck::Blocked(_)) => {
                 // The map has changed since.
@@ -422,7 +355,7 @@ impl FollowPath {
         ctx.drive(route.plan.clone());
         self.gathered = ctx.now.plus_secs(ctx.config.settings.obstacle.gather);
         memory.motion = ctx.motion.id();
-        self.remember(io, memory);
+        remember(io, &memory);
         step(io, ctx, "driving")
     }
 
@@ -432,20 +365,20 @@ impl FollowPath {
         if taken && !ctx.motion.is_held() {
             self.refusals = 0;
         }
-        if let Some(progress) = self.where_it_is(ctx).1 {
-            ctx.goal.feedback.distance_left = Some(progress.0);
-            ctx.goal.feedback.time_left = Some(progress.1);
+        if let Some((length, secs)) = ctx.progress().map(|plan| (plan.distance_left, plan.time_left)) {
+            ctx.goal.feedback.distance_left = Some(length);
+            ctx.goal.feedback.time_left = Some(secs);
         }
         if let Some(status) = self.look_for_sooner(io, ctx, memory) {
             return status;
         }
         let due = ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period || ctx.motion.is_held();
-        let revision = ctx.map.newest().map_or(0, |map| map.revision);
+        let revision = ctx.map.revision();
         let zone_changes = ctx.map.zone_changes();
         let rezoned = std::mem::replace(&mut self.zone_changes, zone_changes) != zone_changes;
         if due || rezoned || revision != self.rechecked {
             self.rechecked = revision;
-            match self.recheck(ctx) {
+            match ctx.recheck_rest() {
                 // Speed limits may have changed, or the path may be shorter: this motion continues until there is a better one.
                 Ok(Recheck::Free) if rezoned => {
                     self.begin_search(ctx, memory.goal, 0.0);
@@ -470,76 +403,6 @@ impl FollowPath {
             "waiting for the robot to accept the plan"
         };
         step(io, ctx, what)
-    }
-
-    /// Searches for another path: past the robots that this one gives way to, or the short way when what bars it leaves. Takes it if the
-    /// robot arrives sooner than on the driven one.
-    fn look_for_sooner(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
-        let Some(mut search) = self.other.take() else {
-            if ctx.now < self.next_other || !self.tracking.goals_ahead().is_empty() {
-                return None;
-            }
-            let opens = short_way_opens(ctx);
-            if ctx.yields().is_none() {
-                self.others = 0;
-                if !opens {
-                    return None;
-                }
-            }
-            let request = RouteRequest {
-                past_others: !opens,
-                ..RouteRequest::to(memory.goal)
-            };
-            self.other = Some(Search::new(ctx, request, None, ctx.now).standing());
-            self.others = self.others.saturating_add(1);
-            return None;
-        };
-        // The longer the wait lasts, the less often.
-        let doubled = f64::from(1 << (self.others / 4).min(MOST_DOUBLED));
-        self.next_other = ctx.now.plus_secs(LOOK_PERIOD * doubled);
-        match search.step(ctx) {
-            Searching::Wait(_) if search.age(ctx.now) < OTHER_SECS + 2.0 * ctx.latency_budget() => {
-                self.other = Some(search)
-            }
-            Searching::Wait(_) => {
-                search.watch_short_way(ctx);
-                search.cancel(ctx);
-            }
-            Searching::Found(route) => {
-                let left = self.where_it_is(ctx).1.map(|(_, secs)| secs);
-                let waits = ctx.yields().map_or(0.0, |yields| yields.wait_secs);
-                let arrival = route.arrival_secs.unwrap_or_else(|| route.plan.trajectory.duration());
-                let escape = ctx.config.settings.escape;
-                if left.is_some_and(|left| arrival + ctx.latency_budget() + WORTH_IT < left + waits)
-                    && route.goal == memory.goal
-                    && self.fits(ctx, &route)
-                    && ctx
-                        .space_now()
-                        .is_ok_and(|space| recheck(&route.plan.trajectory, &space, 0.0, escape) == Recheck::Free)
-                {
-                    ctx.goal.avoided = None;
-                    return Some(self.drive(io, ctx, memory, &route));
-                }
-                search.watch_short_way(ctx);
-            }
-            Searching::Blocked(_) | Searching::Nearer(_) | Searching::Failed(_) => {
-                search.watch_short_way(ctx);
-                search.cancel(ctx);
-            }
-        }
-        None
-    }
-
-    fn where_it_is(&self, ctx: &Context) -> (f64, Option<(f64, f64)>) {
-        let Some(state) = ctx.robot.state() else {
-            return (0.0, None);
-        };
-        let time = ctx.motion.time(state, 0.0, 0.0).unwrap_or(0.0);
-        let ours = state
-            .plan
-            .as_ref()
-            .filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
-        (time, ours.map(|plan| (plan.distance_left, plan.time_left)))
     }
 
     fn search(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
@@ -571,7 +434,7 @@ impl FollowPath {
                 }
                 let leads_round =
                     keeps_off && route.plan.splice.is_some() && is_long(ctx, &self.tracking.goals_ahead(), &route);
-                if leads_round && self.recheck(ctx) == Ok(Recheck::Free) {
+                if leads_round && ctx.recheck_rest() == Ok(Recheck::Free) {
                     // The plan in force is free again, though with less room than the planner wants.
                     self.stop_search(ctx);
                     return self.supervise(io, ctx, memory);
@@ -601,14 +464,14 @@ impl FollowPath {
     /// Searches another path to the goal: the plan in force is blocked this far ahead, s.
     fn replan(&mut self, ctx: &mut Context, goal: GoalPoint, ahead: f64) {
         self.begin_search(ctx, goal, 0.0);
-        self.blocked_at = Some(self.where_it_is(ctx).0 + ahead);
+        self.blocked_at = Some(ctx.plan_time().unwrap_or(0.0) + ahead);
         self.brake_in_time(ctx);
     }
 
     /// Holds the motion in force once the obstacle on the trajectory comes near.
     fn brake_in_time(&mut self, ctx: &mut Context) {
         if let (Some(at), Some(stopping)) = (self.blocked_at, ctx.stopping_time()) {
-            let ahead = at - self.where_it_is(ctx).0;
+            let ahead = at - ctx.plan_time().unwrap_or(0.0);
             if ahead < stopping {
                 ctx.hold_within(ahead);
             }
@@ -618,11 +481,11 @@ impl FollowPath {
     /// Drives on while it waits, until this plan time, s. The plan is renewed while all that it is valid for is free.
     fn drive_up_to(&mut self, ctx: &mut Context, at: f64) {
         self.blocked_at = Some(at);
-        let (time, valid) = (self.where_it_is(ctx).0, ctx.plan_valid());
+        let (time, valid) = (ctx.plan_time().unwrap_or(0.0), ctx.plan_valid());
         if ctx.motion.age(ctx.now) < ctx.config.settings.renew_period || at - time <= valid {
             return;
         }
-        let is_free = self.recheck(ctx).is_ok_and(|recheck| match recheck {
+        let is_free = ctx.recheck_rest().is_ok_and(|recheck| match recheck {
             Recheck::Free => true,
             Recheck::Blocked(ahead) => ahead > valid,
         });
@@ -641,12 +504,6 @@ impl FollowPath {
         self.search = Some(Search::new(ctx, request, None, from).replacing());
     }
 
-    fn stop_other(&mut self, ctx: &mut Context) {
-        if let Some(other) = self.other.take() {
-            other.cancel(ctx);
-        }
-    }
-
     fn stop_search(&mut self, ctx: &mut Context) {
         self.blocked_at = None;
         self.cancel_search(ctx);
@@ -662,14 +519,7 @@ impl FollowPath {
 
     fn end(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, code: i64, why: String) -> Status {
         self.stop_search(ctx);
-        ctx.end_leg(GoalPhase::Aborted, Some(why.clone()));
-        fail(io, ctx, Some(code), why)
-    }
-
-    fn remember(&self, io: &mut LeafIo<'_>, memory: Memory) {
-        if let Err(error) = io.remember(&memory) {
-            tracing::warn!(%error, "a goal cannot be serialised");
-        }
+        abort(io, ctx, code, why)
     }
 }
 

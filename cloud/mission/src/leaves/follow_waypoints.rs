@@ -7,18 +7,14 @@ use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{GoalPhase, GoalPoint, PlanStatistics};
 
+use super::follow_path::error_code;
+use super::path;
 use super::ports::parse_points;
 use super::progress::Progress;
-use super::{fail, no_error, step};
+use super::{abort, fail, no_error, remember, step};
 use crate::context::Context;
 use crate::motion::{PlanDraft, PlanStatus};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
-
-/// Nav2's error codes.
-const TF_ERROR: i64 = 102;
-const FAILED_TO_MAKE_PROGRESS: i64 = 105;
-const NO_VALID_CONTROL: i64 = 106;
-const UNKNOWN: i64 = 100;
 
 /// Drives through `waypoints`, `laps` times.
 #[derive(Default)]
@@ -43,22 +39,18 @@ impl Leaf<Context> for FollowWaypoints {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         *self = Self::default();
         if let Err(why) = self.read(io, ctx) {
-            return fail(io, ctx, Some(UNKNOWN), why);
+            return fail(io, ctx, Some(error_code::UNKNOWN), why);
         }
         ctx.motion.clear();
-        let goal = self.points.last().map(|last| GoalPoint {
-            x: last.x,
-            y: last.y,
-            yaw: None,
-        });
-        ctx.begin_leg(io.name(), goal, length(&self.points));
-        remember(io, Memory::default());
+        let goal = self.points.last().map(|last| GoalPoint::at(last.x, last.y));
+        ctx.begin_leg(io.name(), goal, path::length(&self.points));
+        remember(io, &Memory::default());
         self.tick(io, ctx)
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         if let Err(why) = self.read(io, ctx) {
-            return self.end(io, ctx, UNKNOWN, why);
+            return abort(io, ctx, error_code::UNKNOWN, why);
         }
         let memory: Memory = io.recall().unwrap_or_default();
         if memory.motion.is_none() || memory.motion != ctx.motion.id() {
@@ -75,22 +67,17 @@ impl Leaf<Context> for FollowWaypoints {
         }
         if self.progress.is_stuck(ctx) {
             let why = format!("no progress within {:.0} s", ctx.config.settings.progress.timeout);
-            return self.end(io, ctx, FAILED_TO_MAKE_PROGRESS, why);
+            return abort(io, ctx, error_code::FAILED_TO_MAKE_PROGRESS, why);
         }
         match ctx.motion.status().cloned() {
             Some(PlanStatus::Sent | PlanStatus::Taken) => {
-                let mine = ctx
-                    .robot
-                    .state()
-                    .and_then(|state| state.plan.as_ref())
-                    .filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
-                if let Some(plan) = mine {
-                    let passed = memory.base + plan.waypoint;
-                    ctx.goal.feedback.distance_left = Some(plan.distance_left);
+                if let Some((waypoint, length)) = ctx.progress().map(|plan| (plan.waypoint, plan.distance_left)) {
+                    let passed = memory.base + waypoint;
+                    ctx.goal.feedback.distance_left = Some(length);
                     if passed > memory.passed {
                         self.refusals = 0;
                         memory.passed = passed.min(self.points.len());
-                        remember(io, memory);
+                        remember(io, &memory);
                     }
                 }
                 if ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period || ctx.motion.is_held() {
@@ -108,12 +95,8 @@ impl Leaf<Context> for FollowWaypoints {
                 self.refusals += 1;
                 tracing::info!(goal = ctx.goal.id, why, "the robot rejected waypoints");
                 if self.refusals > ctx.config.settings.retries.refusals {
-                    return self.end(
-                        io,
-                        ctx,
-                        NO_VALID_CONTROL,
-                        format!("the robot rejects the waypoints: {why}"),
-                    );
+                    let why = format!("the robot rejects the waypoints: {why}");
+                    return abort(io, ctx, error_code::NO_VALID_CONTROL, why);
                 }
                 ctx.motion.clear();
                 self.not_before = ctx.now.plus_secs(ctx.config.settings.retries.refusal_wait);
@@ -131,9 +114,8 @@ impl Leaf<Context> for FollowWaypoints {
 
 impl FollowWaypoints {
     fn read(&mut self, io: &LeafIo<'_>, ctx: &Context) -> Result<(), String> {
-        let laps = io.get_optional("laps").map_err(|error| error.to_string())?.unwrap_or(1);
-        let value = io.value("waypoints").map_err(|error| error.to_string())?;
-        self.points = parse_points(value, laps, &ctx.config.places)?;
+        let laps = io.get_optional("laps")?.unwrap_or(1);
+        self.points = parse_points(io.value("waypoints")?, laps, &ctx.config.places)?;
         Ok(())
     }
 
@@ -145,7 +127,7 @@ impl FollowWaypoints {
         let statistics = PlanStatistics {
             planner: "waypoints".to_owned(),
             status: "waypoints".to_owned(),
-            length: length(&rest),
+            length: path::length(&rest),
             ..PlanStatistics::default()
         };
         let map = ctx.map.newest().unwrap_or_default();
@@ -157,37 +139,17 @@ impl FollowWaypoints {
         });
         memory.base = memory.passed;
         memory.motion = ctx.motion.id();
-        remember(io, memory);
+        remember(io, &memory);
         step(io, ctx, "starting")
     }
 
     fn succeed(&self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
-            return self.end(io, ctx, TF_ERROR, why);
+            return abort(io, ctx, error_code::TF_ERROR, why);
         }
         no_error(io);
         io.say("all waypoints passed");
         ctx.end_leg(GoalPhase::Succeeded, None);
         Status::Success
     }
-
-    fn end(&self, io: &mut LeafIo<'_>, ctx: &mut Context, code: i64, why: String) -> Status {
-        ctx.end_leg(GoalPhase::Aborted, Some(why.clone()));
-        fail(io, ctx, Some(code), why)
-    }
-}
-
-fn remember(io: &mut LeafIo<'_>, memory: Memory) {
-    if let Err(error) = io.remember(&memory) {
-        tracing::warn!(%error, "a place in the list cannot be serialised");
-    }
-}
-
-/// Length of a polyline, m.
-fn length(points: &[Point2<f64>]) -> f64 {
-    points
-        .iter()
-        .zip(points.iter().skip(1))
-        .map(|(a, b)| (b - a).norm())
-        .sum()
 }

@@ -1,11 +1,10 @@
 //! RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, GetCurrentPose, ArePosesNear, CheckPoseOccupancy:
 //! queries about goals, and operations on lists of goals.
 
-use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::GoalPoint;
 
-use super::ports::{goal_on, goal_text, goals_on, goals_value, ground, here, number, pose_of, write};
+use super::ports::{flag, goal_on, goal_text, goals_on, goals_value, ground, robot_pose, write};
 use super::{SyncLeaf, step};
 use crate::context::Context;
 use zenav_behaviour_tree::{LeafIo, Status, Value};
@@ -20,8 +19,8 @@ pub struct RemovePassedGoals;
 impl SyncLeaf for RemovePassedGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let goals = goals_on(io, ctx, "input_goals")?;
-        let (radius, pose) = (number(io, "radius", 0.5)?, here(ctx)?);
-        let is_passed = |goal: &&GoalPoint| (goal.x - pose.x).hypot(goal.y - pose.y) <= radius;
+        let (radius, pose) = (io.number_or("radius", 0.5)?, robot_pose(ctx)?);
+        let is_passed = |goal: &&GoalPoint| goal.pose().distance(&pose) <= radius;
         let most = goals.len().saturating_sub(1);
         let passed = goals.iter().take(most).take_while(is_passed).count();
         let dropped: Vec<usize> = (0..passed).collect();
@@ -62,21 +61,20 @@ impl SyncLeaf for CheckPoseOccupancy {
         }
         let goal = goal_on(io, ctx, "pose")?;
         let free = fits(io, ctx, &goal)?;
-        Ok(if free { Status::Failure } else { Status::Success })
+        Ok(Status::from_truth(!free))
     }
 }
 
 /// Whether the robot fits at a goal: its footprint with `use_footprint`, otherwise its centre. Nav2's `cost_threshold` refers to the cost
 /// values of its maps; here every obstacle counts.
 fn fits(io: &LeafIo<'_>, ctx: &mut Context, goal: &GoalPoint) -> Result<bool, String> {
-    let flag = |port: &str, otherwise: bool| io.get_optional(port).ok().flatten().unwrap_or(otherwise);
     let (model, space) = ground(ctx).ok_or("the robot or its map is not known")?;
-    let pose: Pose2 = pose_of(goal);
+    let pose = goal.pose();
     let seen = ctx.map.occupancy(pose.position()).ok_or("there is no map yet")?;
-    if flag("consider_unknown_as_obstacle", false) && seen == Occupancy::Unknown {
+    if flag(io, "consider_unknown_as_obstacle", false) && seen == Occupancy::Unknown {
         return Ok(false);
     }
-    if !flag("use_footprint", true) {
+    if !flag(io, "use_footprint", true) {
         return Ok(seen != Occupancy::Occupied);
     }
     Ok(match goal.yaw {
@@ -124,7 +122,7 @@ pub struct GetNextFewGoals;
 impl SyncLeaf for GetNextFewGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let goals = goals_on(io, ctx, "input_goals")?;
-        let count: u64 = io.get("num_goals").map_err(|error| error.to_string())?;
+        let count: u64 = io.get("num_goals")?;
         let count = usize::try_from(count).unwrap_or(usize::MAX).min(goals.len());
         write(io, "output_goals", goals_value(goals.get(..count).unwrap_or_default()))
     }
@@ -135,13 +133,8 @@ pub struct GetCurrentPose;
 
 impl SyncLeaf for GetCurrentPose {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let pose = here(ctx)?;
-        let goal = GoalPoint {
-            x: pose.x,
-            y: pose.y,
-            yaw: Some(pose.yaw),
-        };
-        write(io, "current_pose", Ok(Value::text(goal_text(&goal))))
+        let pose = GoalPoint::from(robot_pose(ctx)?);
+        write(io, "current_pose", Ok(Value::text(goal_text(&pose))))
     }
 }
 
@@ -151,12 +144,12 @@ pub struct ArePosesNear;
 impl SyncLeaf for ArePosesNear {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let reference = if io.is_set("ref_pose") {
-            pose_of(&goal_on(io, ctx, "ref_pose")?)
+            goal_on(io, ctx, "ref_pose")?.pose()
         } else {
-            here(ctx)?
+            robot_pose(ctx)?
         };
-        let target = pose_of(&goal_on(io, ctx, "target_pose")?);
-        let near = reference.distance(&target) <= number(io, "tolerance", 0.5)?;
-        Ok(if near { Status::Success } else { Status::Failure })
+        let target = goal_on(io, ctx, "target_pose")?.pose();
+        let near = reference.distance(&target) <= io.number_or("tolerance", 0.5)?;
+        Ok(Status::from_truth(near))
     }
 }

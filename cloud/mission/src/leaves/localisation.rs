@@ -5,13 +5,12 @@
 use zenav_protocol::messages::{LocaliseAction, LocaliseRequest, Refusal};
 use zenav_protocol::time::Stamp;
 
+use super::missing::SEND_GOAL_FAILURE;
 use super::{fail, no_error, step};
 use crate::context::Context;
 use crate::io::{Ask, NoAnswer, Ticket};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Nav2's error code for an unreachable server.
-const SEND_GOAL_FAILURE: i64 = 2;
 /// Time for which mapping is asked repeatedly, s.
 const PATIENCE: f64 = 10.0;
 /// Pause for mapping to learn of a new grant, s.
@@ -81,9 +80,7 @@ impl Leaf<Context> for Reinitialize {
     }
 
     fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
-        if let Some(ticket) = self.ticket.take() {
-            ctx.asks.forget(ticket);
-        }
+        ctx.asks.forget(self.ticket.take());
     }
 }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{MapAction, MapRequest, Refusal};
 use zenav_protocol::time::Stamp;
 
-use super::{fail, step};
+use super::{fail, remember, step};
 use crate::context::Context;
 use crate::io::{Ask, NoAnswer, Ticket};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
@@ -79,9 +79,7 @@ impl Action {
             id: ctx.execution_id(),
             done: false,
         };
-        if let Err(error) = io.remember(&execution) {
-            tracing::warn!(%error, "an execution cannot be serialised");
-        }
+        remember(io, &execution);
     }
 
     /// The same request after a restart.
@@ -118,9 +116,7 @@ impl Action {
             None => Acting::Busy,
             Some(Ok(_)) => {
                 execution.done = true;
-                if let Err(error) = io.remember(&execution) {
-                    tracing::warn!(%error, "an execution cannot be serialised");
-                }
+                remember(io, &execution);
                 Acting::Done
             }
             Some(Err(NoAnswer::Refused(refusal @ Refusal::WrongEpoch { .. }))) => {
@@ -146,9 +142,7 @@ impl Action {
 
     /// Stops waiting.
     pub fn forget(&mut self, ctx: &mut Context) {
-        if let Some(ticket) = self.ticket.take() {
-            ctx.asks.forget(ticket);
-        }
+        ctx.asks.forget(self.ticket.take());
     }
 }
 

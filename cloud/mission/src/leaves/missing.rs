@@ -6,7 +6,7 @@ use crate::context::Context;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Nav2's error code for an unreachable server.
-const SEND_GOAL_FAILURE: i64 = 2;
+pub const SEND_GOAL_FAILURE: i64 = 2;
 /// Nav2's error code for a route server without a graph: no recovery helps.
 const NO_VALID_GRAPH: i64 = 402;
 

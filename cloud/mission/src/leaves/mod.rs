@@ -51,9 +51,12 @@ mod simple;
 mod smooth_path;
 mod tracking;
 
+use serde::Serialize;
+
 use super::context::Context;
 use zenav_behaviour_tree::nav2::{self, Measure, Travel};
 use zenav_behaviour_tree::{DuplicateNode, Leaf, LeafIo, LeafSite, NodeSpec, PortType, Registry, Status, Value};
+use zenav_protocol::messages::GoalPhase;
 
 pub use path::DrivenPath;
 pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
@@ -81,14 +84,14 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     };
     registry.leaf(
         known("ComputePathToPose", "Plans and smooths a path to the goal."),
-        |_| Box::<compute_path::ComputePath>::default(),
+        leaf::<compute_path::ComputePath>,
     )?;
     registry.leaf(
         known(
             "FollowPath",
             "Follows a path: rechecks and renews the plan, replans when it is blocked.",
         ),
-        |_| Box::<follow_path::FollowPath>::default(),
+        leaf::<follow_path::FollowPath>,
     )?;
     registry.leaf(
         NodeSpec::action(
@@ -99,19 +102,20 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         .input_or("laps", Unsigned, "1", "repetitions")
         .output("error_code_id", Unsigned, "error code; 0: none")
         .output("error_msg", Text, "error message"),
-        |_| Box::<follow_waypoints::FollowWaypoints>::default(),
+        leaf::<follow_waypoints::FollowWaypoints>,
     )?;
-    registry.leaf(NodeSpec::action("DoesMapExist", "SUCCESS if a map is stored."), |_| {
-        Box::<mapping::DoesMapExist>::default()
-    })?;
+    registry.leaf(
+        NodeSpec::action("DoesMapExist", "SUCCESS if a map is stored."),
+        leaf::<mapping::DoesMapExist>,
+    )?;
     registry.leaf(
         NodeSpec::action("MapEnvironment", "Starts a new map; RUNNING until it is halted."),
-        |_| Box::<mapping::MapEnvironment>::default(),
+        leaf::<mapping::MapEnvironment>,
     )?;
     registry.leaf(NodeSpec::action("SaveMap", "Stores the map."), |_| {
         Box::new(mapping::OnMap::save())
     })?;
-    registry.leaf(known("Wait", "Waits, s."), |_| Box::<simple::Wait>::default())?;
+    registry.leaf(known("Wait", "Waits, s."), leaf::<simple::Wait>)?;
     registry.leaf(
         known("GoalReached", "SUCCESS within the tolerance of the goal.").input_optional(
             "tolerance",
@@ -123,15 +127,12 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     registry.leaf(known("IsBatteryLow", "SUCCESS below a share of the charge."), |_| {
         Box::new(simple::IsBatteryLow)
     })?;
-    registry.leaf(known("Spin", "Turns in place."), |_| {
-        Box::<behaviours::Behaviour>::default()
-    })?;
-    registry.leaf(known("BackUp", "Drives straight back."), |_| {
-        Box::<behaviours::Behaviour>::default()
-    })?;
-    registry.leaf(known("DriveOnHeading", "Drives straight ahead."), |_| {
-        Box::<behaviours::Behaviour>::default()
-    })?;
+    registry.leaf(known("Spin", "Turns in place."), leaf::<behaviours::Behaviour>)?;
+    registry.leaf(known("BackUp", "Drives straight back."), leaf::<behaviours::Behaviour>)?;
+    registry.leaf(
+        known("DriveOnHeading", "Drives straight ahead."),
+        leaf::<behaviours::Behaviour>,
+    )?;
     registry.leaf(
         NodeSpec::action(
             "DriveToFree",
@@ -142,7 +143,7 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         .input_or("time_allowance", Double, "10.0", "time allowance, s")
         .output("error_code_id", Unsigned, "error code; 0: none")
         .output("error_msg", Text, "error message"),
-        |_| Box::<behaviours::Behaviour>::default(),
+        leaf::<behaviours::Behaviour>,
     )?;
     registry.leaf(
         NodeSpec::condition("IsLocalised", "SUCCESS unless the robot is known to be lost."),
@@ -155,9 +156,9 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
             "5.0",
             "time allowance, s",
         ),
-        |_| Box::<localisation::WaitForLocalisation>::default(),
+        leaf::<localisation::WaitForLocalisation>,
     )?;
-    registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
+    registry.leaf(remote::spec(), leaf::<remote::Remote>)?;
     let rest: Vec<NodeSpec> = registry
         .declared()
         .filter(|spec| spec.category.is_leaf())
@@ -167,6 +168,11 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         registry.leaf(spec, nav2_leaf)?;
     }
     Ok(())
+}
+
+/// A new leaf of a type.
+fn leaf<T: Leaf<Context> + Default + 'static>(_: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
+    Box::<T>::default()
 }
 
 /// The leaf that implements one of Nav2's nodes.
@@ -264,6 +270,19 @@ fn fail(io: &mut LeafIo<'_>, ctx: &mut Context, code: Option<i64>, why: impl Int
     io.fail(why)
 }
 
+/// Ends the drive, and fails.
+fn abort(io: &mut LeafIo<'_>, ctx: &mut Context, code: i64, why: String) -> Status {
+    ctx.end_leg(GoalPhase::Aborted, Some(why.clone()));
+    fail(io, ctx, Some(code), why)
+}
+
+/// Stores what must survive a restart. A leaf that cannot store it starts over after one.
+fn remember(io: &mut LeafIo<'_>, memory: &impl Serialize) {
+    if let Err(error) = io.remember(memory) {
+        tracing::warn!(node = io.name(), %error, "the node's state cannot be serialised");
+    }
+}
+
 /// Clears the error ports.
 fn no_error(io: &mut LeafIo<'_>) {
     let _ = io.set("error_code_id", 0_i64);
@@ -282,7 +301,6 @@ fn step(io: &mut LeafIo<'_>, ctx: &mut Context, what: &str) -> Status {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

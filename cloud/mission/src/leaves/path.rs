@@ -4,6 +4,7 @@
 //! Nav2's paths have a pose every few centimetres, and its nodes search the closest pose; here the closest point of the line is used.
 
 use nalgebra::Point2;
+use zenav_protocol::polygon::cross;
 use zenav_protocol::trajectory::TrajectoryPoint;
 
 /// Mean speed above which a leg of a trajectory has a direction, m/s; below it, it is a turn on the spot.
@@ -201,7 +202,7 @@ pub(crate) fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to:
         let across = place - (a + unit * at);
         let distance = across.norm();
         if best.is_none_or(|best| distance < best.distance) {
-            let aside = unit.x * across.y - unit.y * across.x;
+            let aside = cross(unit, across);
             best = Some(Nearest {
                 along: begin + at,
                 distance,
@@ -306,7 +307,6 @@ pub(crate) fn spaced(points: &[Point2<f64>], spacing: f64, most: usize) -> Vec<(
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use proptest::prelude::*;

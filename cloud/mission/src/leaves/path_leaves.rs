@@ -6,7 +6,7 @@ use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::GoalPoint;
 
 use super::path::{self, DrivenPath, Nearest};
-use super::ports::{OLD_FRAME, goal_on, goal_text, ground, here, number, path_here, path_on, pose_of, write};
+use super::ports::{OLD_FRAME, flag, goal_on, goal_text, ground, path_on, robot_pose, settled_path, write};
 use super::{SyncLeaf, fail, step};
 use crate::context::Context;
 use crate::motion::{Recheck, recheck};
@@ -56,16 +56,14 @@ pub struct IsGoalNearby(Pursuit);
 
 impl SyncLeaf for IsGoalNearby {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let data = path_here(io, ctx, "path")?;
+        let data = settled_path(io, ctx, "path")?;
         let (threshold, reach) = (
-            number(io, "proximity_threshold", 1.0)?,
-            number(io, "max_robot_pose_search_dist", -1.0)?,
+            io.number_or("proximity_threshold", 1.0)?,
+            io.number_or("max_robot_pose_search_dist", -1.0)?,
         );
-        let found = self.0.find(io.sequence("path"), &data, here(ctx)?, reach);
-        Ok(match found {
-            Some(near) if path::length(&data.points) - near.along < threshold => Status::Success,
-            _ => Status::Failure,
-        })
+        let found = self.0.find(io.sequence("path"), &data, robot_pose(ctx)?, reach);
+        let is_near = |near: Nearest| path::length(&data.points) - near.along < threshold;
+        Ok(Status::from_truth(found.is_some_and(is_near)))
     }
 }
 
@@ -75,18 +73,18 @@ pub struct TruncatePathLocal(Pursuit);
 
 impl SyncLeaf for TruncatePathLocal {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let data = path_here(io, ctx, "input_path")?;
+        let data = settled_path(io, ctx, "input_path")?;
         if data.points.is_empty() {
             return write(io, "output_path", data.value());
         }
         let (forward, backward) = (
-            number(io, "distance_forward", 8.0)?,
-            number(io, "distance_backward", 4.0)?,
+            io.number_or("distance_forward", 8.0)?,
+            io.number_or("distance_backward", 4.0)?,
         );
-        let reach = number(io, "max_robot_pose_search_dist", f64::INFINITY)?;
+        let reach = io.number_or("max_robot_pose_search_dist", f64::INFINITY)?;
         let here = match io.value("pose").is_ok() {
-            true => pose_of(&goal_on(io, ctx, "pose")?),
-            false => here(ctx)?,
+            true => goal_on(io, ctx, "pose")?.pose(),
+            false => robot_pose(ctx)?,
         };
         let near = self
             .0
@@ -123,7 +121,7 @@ pub struct TruncatePath;
 impl SyncLeaf for TruncatePath {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
         let data = path_on(io, "input_path")?;
-        let distance = number(io, "distance", 1.0)?;
+        let distance = io.number_or("distance", 1.0)?;
         let cut = if distance > 0.0 {
             let whole = path::length(&data.points);
             RouteData {
@@ -143,11 +141,8 @@ pub struct GetPoseFromPath;
 
 impl SyncLeaf for GetPoseFromPath {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let data = path_here(io, ctx, "path")?;
-        let index: i64 = io
-            .get_optional("index")
-            .map_err(|error| error.to_string())?
-            .unwrap_or(0);
+        let data = settled_path(io, ctx, "path")?;
+        let index: i64 = io.get_optional("index")?.unwrap_or(0);
         let count = data.points.len() as i64;
         let at = if index < 0 { count.saturating_add(index) } else { index };
         let place = usize::try_from(at)
@@ -164,9 +159,8 @@ impl SyncLeaf for GetPoseFromPath {
             ahead.y.atan2(ahead.x)
         });
         let pose = GoalPoint {
-            x: point.x,
-            y: point.y,
             yaw: if last { data.goal.yaw } else { heading },
+            ..GoalPoint::at(point.x, point.y)
         };
         write(io, "pose", Ok(Value::text(goal_text(&pose))))
     }
@@ -182,7 +176,7 @@ impl SyncLeaf for ConcatenatePaths {
             .into_iter()
             .flatten()
             .filter(|part| !part.points.is_empty())
-            .map(|part| part.here(&ctx.frames))
+            .map(|part| part.settled(&ctx.frames))
             .collect();
         let parts = parts.ok_or(OLD_FRAME)?;
         let frame = parts.iter().find_map(|part| part.frame);
@@ -216,25 +210,17 @@ pub struct ValidatePath;
 
 impl SyncLeaf for ValidatePath {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let data = path_here(io, ctx, "path")?;
-        let pose = here(ctx)?;
+        let data = settled_path(io, ctx, "path")?;
+        let pose = robot_pose(ctx)?;
         let Some((model, space)) = ground(ctx) else {
             return Ok(step(io, ctx, "waiting for the robot and its map"));
         };
         if data.points.is_empty() {
             return Err("the path is empty".to_owned());
         }
-        let ahead = number(io, "max_lookahead_distance", -1.0)?;
-        let unknown_too = io
-            .get_optional("consider_unknown_as_obstacle")
-            .ok()
-            .flatten()
-            .unwrap_or(false);
-        let all = !io
-            .get_optional("stop_at_first_collision")
-            .ok()
-            .flatten()
-            .unwrap_or(true);
+        let ahead = io.number_or("max_lookahead_distance", -1.0)?;
+        let unknown_too = flag(io, "consider_unknown_as_obstacle", false);
+        let all = !flag(io, "stop_at_first_collision", true);
         let points = match path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY) {
             Some(near) if ahead > 0.0 => path::part(&data.points, near.along, near.along + ahead),
             _ => data.points,

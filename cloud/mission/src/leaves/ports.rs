@@ -101,8 +101,7 @@ pub fn goal_text(goal: &GoalPoint) -> String {
 /// # Errors
 /// What was expected.
 pub fn goal_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<GoalPoint, String> {
-    let value = io.value(port).map_err(|error| error.to_string())?;
-    parse_goal(value, &ctx.config.places)
+    parse_goal(io.value(port)?, &ctx.config.places)
 }
 
 /// Parses goals from a port's value: a JSON list of goals or of their texts, or places separated by `|`.
@@ -150,8 +149,7 @@ pub fn parse_goals(value: &Value, places: &Places) -> Result<Vec<GoalPoint>, Str
 /// # Errors
 /// What was expected.
 pub fn goals_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<Vec<GoalPoint>, String> {
-    let value = io.value(port).map_err(|error| error.to_string())?;
-    parse_goals(value, &ctx.config.places)
+    parse_goals(io.value(port)?, &ctx.config.places)
 }
 
 /// Goals as stored on the blackboard: a list of texts, which `LoopString` can iterate over.
@@ -200,15 +198,17 @@ pub fn parse_path(value: &Value) -> Result<RouteData, String> {
 /// # Errors
 /// What was expected.
 pub fn path_on(io: &LeafIo<'_>, port: &str) -> Result<RouteData, String> {
-    io.value(port).map_err(|error| error.to_string()).and_then(parse_path)
+    parse_path(io.value(port)?)
 }
 
 /// The same in the present frame of the map.
 ///
 /// # Errors
 /// What was expected.
-pub fn path_here(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<RouteData, String> {
-    path_on(io, port)?.here(&ctx.frames).ok_or_else(|| OLD_FRAME.to_owned())
+pub fn settled_path(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<RouteData, String> {
+    path_on(io, port)?
+        .settled(&ctx.frames)
+        .ok_or_else(|| OLD_FRAME.to_owned())
 }
 
 impl RouteData {
@@ -220,9 +220,8 @@ impl RouteData {
         Self {
             route: 0,
             goal: GoalPoint {
-                x: end.x,
-                y: end.y,
                 yaw,
+                ..GoalPoint::at(end.x, end.y)
             },
             length: path::length(&points),
             points,
@@ -252,19 +251,9 @@ impl RouteData {
     }
 }
 
-/// A goal as a pose; a goal without a heading faces along x.
-#[must_use]
-pub fn pose_of(goal: &GoalPoint) -> Pose2 {
-    Pose2::new(goal.x, goal.y, goal.yaw.unwrap_or(0.0))
-}
-
-/// The number on a port, or `otherwise` if it has none.
-///
-/// # Errors
-/// What was expected.
-pub fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
-    let value = io.get_optional(port).map_err(|error| error.to_string())?;
-    Ok(value.unwrap_or(otherwise))
+/// The flag on a port, or `otherwise` if it has none.
+pub fn flag(io: &LeafIo<'_>, port: &str, otherwise: bool) -> bool {
+    io.get_optional(port).ok().flatten().unwrap_or(otherwise)
 }
 
 /// Writes a value to a port: SUCCESS.
@@ -272,7 +261,7 @@ pub fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String
 /// # Errors
 /// What the entry behind the port expects.
 pub fn write(io: &mut LeafIo<'_>, port: &str, value: Result<Value, String>) -> Result<Status, String> {
-    io.set(port, value?).map_err(|error| error.to_string())?;
+    io.set(port, value?)?;
     Ok(Status::Success)
 }
 
@@ -280,7 +269,7 @@ pub fn write(io: &mut LeafIo<'_>, port: &str, value: Result<Value, String>) -> R
 ///
 /// # Errors
 /// The pose is unknown.
-pub fn here(ctx: &Context) -> Result<Pose2, String> {
+pub fn robot_pose(ctx: &Context) -> Result<Pose2, String> {
     ctx.robot
         .pose()
         .ok_or_else(|| "nobody knows where the robot is".to_owned())
@@ -305,7 +294,7 @@ pub fn parse_points(value: &Value, laps: u64, places: &Places) -> Result<Vec<Poi
             goals.len()
         ));
     }
-    let points: Vec<Point2<f64>> = goals.iter().map(|goal| Point2::new(goal.x, goal.y)).collect();
+    let points: Vec<Point2<f64>> = goals.iter().map(GoalPoint::position).collect();
     if !points.iter().all(|point| point.x.is_finite() && point.y.is_finite()) {
         return Err("waypoints: expected finite numbers".to_owned());
     }
@@ -313,17 +302,12 @@ pub fn parse_points(value: &Value, laps: u64, places: &Places) -> Result<Vec<Poi
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
     #[test]
     fn goals_are_read_in_every_form() {
-        let here = GoalPoint {
-            x: 0.88,
-            y: 0.09,
-            yaw: None,
-        };
+        let here = GoalPoint::at(0.88, 0.09);
         assert_eq!(parse_goal(&Value::text(" 0.88; 0.09"), &Places::new()).unwrap(), here);
         assert_eq!(
             parse_goal(&Value::text(r#"{"x": 0.88, "y": 0.09}"#), &Places::new()).unwrap(),
@@ -345,11 +329,7 @@ mod tests {
 
     #[test]
     fn places_are_found_by_name_and_a_stranger_is_told_the_names() {
-        let sink = GoalPoint {
-            x: 0.88,
-            y: 0.09,
-            yaw: None,
-        };
+        let sink = GoalPoint::at(0.88, 0.09);
         let places: Places = [("sink".to_owned(), sink)].into();
         assert_eq!(parse_goal(&Value::text(" sink "), &places), Ok(sink));
         assert_eq!(parse_goals(&Value::text("sink|1;2|sink"), &places).unwrap().len(), 3);
@@ -358,18 +338,7 @@ mod tests {
 
     #[test]
     fn goals_and_paths_come_back_as_they_were_written() {
-        let goals = vec![
-            GoalPoint {
-                x: 1.0,
-                y: -2.5,
-                yaw: None,
-            },
-            GoalPoint {
-                x: 0.1,
-                y: 0.2,
-                yaw: Some(-1.5),
-            },
-        ];
+        let goals = vec![GoalPoint::at(1.0, -2.5), Pose2::new(0.1, 0.2, -1.5).into()];
         assert_eq!(
             parse_goals(&goals_value(&goals).unwrap(), &Places::new()).unwrap(),
             goals

@@ -17,7 +17,6 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{RemoteAction, RemoteReply, RemoteRequest, RemoteStatus};
 use zenav_protocol::time::Stamp;
 
-use super::ports::number;
 use super::progress::LONGEST_LOOK;
 use super::{fail, step};
 use crate::context::Context;
@@ -65,7 +64,7 @@ struct Execution {
 
 impl Execution {
     fn read(io: &LeafIo<'_>, id: String) -> Result<Self, String> {
-        let server: String = io.get(SERVER).map_err(|error| error.to_string())?;
+        let server: String = io.get(SERVER)?;
         check_key(&server)?;
         let own = io.ports().filter(|port| ![SERVER, PERIOD, TIMEOUT].contains(port));
         let inputs: BTreeMap<String, serde_json::Value> = own
@@ -153,7 +152,7 @@ impl Leaf<Context> for Remote {
                 Err(NoAnswer::Silent(why)) => tracing::debug!(server = execution.server, why, "no answer yet"),
             }
         }
-        let seconds = |port: &str, otherwise: f64| number(io, port, otherwise).unwrap_or(otherwise).max(0.0) * 1e-3;
+        let seconds = |port: &str, otherwise: f64| io.number_or(port, otherwise).unwrap_or(otherwise).max(0.0) * 1e-3;
         let (period, patience) = (seconds(PERIOD, 100.0), seconds(TIMEOUT, 10_000.0));
         let silent = self.silent;
         if silent > patience {
@@ -182,9 +181,7 @@ impl Leaf<Context> for Remote {
     }
 
     fn halt(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
-        if let Some(ticket) = self.ticket.take() {
-            ctx.asks.forget(ticket);
-        }
+        ctx.asks.forget(self.ticket.take());
         if let (Some(execution), Some(epoch)) = (io.recall::<Execution>(), ctx.lease.epoch()) {
             let ask = execution.request(io, ctx, RemoteAction::Cancel, epoch);
             let ticket = ctx.asks.ask(ask);

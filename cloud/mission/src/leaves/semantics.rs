@@ -1,7 +1,5 @@
 //! Tests of single nodes that depend on a robot, its paths and its goals: one test per row of Nav2's semantics.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use std::time::Duration;
 
 use nalgebra::Point2;
@@ -58,11 +56,7 @@ impl Stand {
             resolution: SPEC.resolution,
             ..MappingSettings::default()
         };
-        let name = MapRef {
-            id: "m".into(),
-            revision: 0,
-            frame: 0,
-        };
+        let name = MapRef::new("m", 0);
         let mut mapper = Mapper::with_stored(settings, name, map, Vec::new(), 1);
         let patches: Vec<_> = std::iter::from_fn(|| mapper.take_patch()).collect();
         ctx.map.observe(Stamp(1), Some(mapper.info()), &patches);

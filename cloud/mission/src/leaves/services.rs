@@ -67,10 +67,9 @@ pub struct ToggleCollisionMonitor;
 
 impl SyncLeaf for ToggleCollisionMonitor {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
-        match io.get_optional("enable") {
-            Ok(Some(false)) => Err("the robot's collision monitor cannot be switched off".to_owned()),
-            Ok(_) => Ok(Status::Success),
-            Err(wrong) => Err(wrong.to_string()),
+        match io.get_optional("enable")? {
+            Some(false) => Err("the robot's collision monitor cannot be switched off".to_owned()),
+            _ => Ok(Status::Success),
         }
     }
 }

@@ -62,7 +62,7 @@ impl Leaf<Context> for GoalReached {
             .flatten()
             .unwrap_or(ctx.goal.tolerance);
         match ctx.robot.pose() {
-            Some(pose) if (pose.x - goal.x).hypot(pose.y - goal.y) <= tolerance => Status::Success,
+            Some(pose) if pose.distance(&goal.pose()) <= tolerance => Status::Success,
             _ => Status::Failure,
         }
     }

@@ -3,15 +3,15 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{MotionReply, MotionRequest, SmoothRequest};
+use zenav_protocol::messages::{GoalPoint, MotionReply, MotionRequest, SmoothRequest};
 use zenav_protocol::time::Stamp;
 
 use super::path::{self, DrivenPath};
-use super::ports::{number, path_here};
+use super::ports::{settled_path, write};
 use super::selectors::Choice;
 use super::{fail, no_error, step};
 use crate::context::Context;
-use crate::io::{Answer, Ask, NoAnswer, Ticket};
+use crate::io::{Answer, NoAnswer, Ticket};
 use crate::route::RouteData;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
@@ -44,25 +44,17 @@ pub struct SmoothPath {
 impl SmoothPath {
     /// Sends the path to a motion worker, in the present frame of the map.
     fn ask(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let data = match path_here(io, ctx, "unsmoothed_path") {
+        let data = match settled_path(io, ctx, "unsmoothed_path") {
             Ok(data) if data.points.len() > 1 => data,
             Ok(_) => {
-                return fail(
-                    io,
-                    ctx,
-                    Some(error_code::INVALID_PATH),
-                    "a path of fewer than two points",
-                );
+                let why = "a path of fewer than two points";
+                return fail(io, ctx, Some(error_code::INVALID_PATH), why);
             }
             Err(why) => return fail(io, ctx, Some(error_code::INVALID_PATH), why),
         };
         let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
-            return fail(
-                io,
-                ctx,
-                Some(error_code::UNKNOWN),
-                "the robot or its map is not known yet",
-            );
+            let why = "the robot or its map is not known yet";
+            return fail(io, ctx, Some(error_code::UNKNOWN), why);
         };
         if !ctx.frames.is_settled() {
             return step(io, ctx, "waits until the map is in one frame");
@@ -73,7 +65,7 @@ impl SmoothPath {
             model,
             map,
             path: data.points.clone(),
-            via: data.via.iter().map(|goal| Point2::new(goal.x, goal.y)).collect(),
+            via: data.via.iter().map(GoalPoint::position).collect(),
             backwards: data.backwards.clone(),
             start,
             start_velocity: Twist2::ZERO,
@@ -81,7 +73,7 @@ impl SmoothPath {
             unknown_is_free: ctx.config.settings.unknown_is_free,
             profile: ctx.goal.profile,
         };
-        self.ticket = Some(ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request)))));
+        self.ticket = Some(ctx.asks.ask_motion(MotionRequest::Smooth(request)));
         self.given = Some(data);
         self.frame = ctx.frames.at();
         step(io, ctx, "smooths")
@@ -100,7 +92,8 @@ impl Leaf<Context> for SmoothPath {
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let waited = ctx.now.secs_since(self.since);
-        let patience = number(io, "max_smoothing_duration", PATIENCE)
+        let patience = io
+            .number_or("max_smoothing_duration", PATIENCE)
             .unwrap_or(PATIENCE)
             .max(PATIENCE);
         let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) else {
@@ -143,10 +136,7 @@ impl Leaf<Context> for SmoothPath {
             frame: Some(self.frame),
             ..given
         };
-        let written = smooth
-            .value()
-            .and_then(|value| io.set("smoothed_path", value).map_err(|error| error.to_string()));
-        if let Err(why) = written {
+        if let Err(why) = write(io, "smoothed_path", smooth.value()) {
             return fail(io, ctx, Some(error_code::UNKNOWN), why);
         }
         // A tree with other types of entries on these ports gets no values.
@@ -161,9 +151,7 @@ impl Leaf<Context> for SmoothPath {
     }
 
     fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
-        if let Some(ticket) = self.ticket.take() {
-            ctx.asks.forget(ticket);
-        }
+        ctx.asks.forget(self.ticket.take());
     }
 }
 
@@ -177,72 +165,34 @@ fn start(path: &DrivenPath) -> Pose2 {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use std::time::Duration;
-
-    use zenav_behaviour_tree::Tree;
-
-    use super::super::parse_path;
     use super::*;
-    use crate::rig::{Rig, straight};
-    use crate::trees::build;
-
-    /// A robot at the origin, which plans along the x axis and smooths the path.
-    struct Plan {
-        rig: Rig,
-        tree: Tree<Context>,
-    }
-
-    impl Plan {
-        fn tick(&mut self, secs: f64) -> Status {
-            self.rig.at(secs);
-            let status = self.tree.tick(Duration::from_secs_f64(secs), &mut self.rig.ctx);
-            status.unwrap()
-        }
-
-        /// The corners that a motion worker is to smooth, m along y. It answers, in the frame of the newest map.
-        fn smooths(&mut self) -> Vec<f64> {
-            let mut asked = self.rig.ctx.asks.take_new().into_iter();
-            let request = asked.find_map(|(ticket, ask)| match ask {
-                Ask::Motion(request) => match *request {
-                    MotionRequest::Smooth(request) => Some((ticket, request.path)),
-                    _ => None,
-                },
-                _ => None,
-            });
-            let (ticket, path) = request.unwrap();
-            let reply = MotionReply::Smooth(self.rig.smooth(straight()));
-            self.rig.ctx.asks.answer(ticket, Ok(Answer::Motion(Box::new(reply))));
-            path.iter().map(|point| point.y).collect()
-        }
-
-        /// The map's frame that a path on the blackboard is of.
-        fn frame(&self, key: &str) -> Option<u64> {
-            parse_path(self.tree.blackboard().get(key).unwrap()).unwrap().frame
-        }
-    }
+    use crate::rig::{Drive, straight};
 
     #[test]
     fn a_path_of_the_first_frame_is_carried_over_and_an_answer_in_that_frame_is_asked_for_again() {
-        let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
-          <ComputePathToPose goal="12;0" path="{path}"/>
-          <SmoothPath unsmoothed_path="{path}" smoothed_path="{smooth}"/>
-        </Sequence></BehaviorTree></root>"#;
-        let mut plan = Plan {
-            rig: Rig::new(),
-            tree: build(text).unwrap(),
+        let mut drive = Drive::new(
+            r#"<Sequence>
+              <ComputePathToPose goal="12;0" path="{path}"/>
+              <SmoothPath unsmoothed_path="{path}" smoothed_path="{smooth}"/>
+            </Sequence>"#,
+        );
+        // The corners to be smoothed, m along y; the answer is in the frame of the newest map.
+        let smooths = |drive: &mut Drive| {
+            drive
+                .smooths(straight())
+                .path
+                .iter()
+                .map(|point| point.y)
+                .collect::<Vec<_>>()
         };
-        assert_eq!(plan.tick(2.0), Status::Running);
-        let route = plan.rig.route(&[], 24.0);
-        plan.rig.answer(route);
-        assert_eq!(plan.tick(2.05), Status::Running);
-        assert_eq!(plan.frame("path"), Some(0));
-        assert_eq!(plan.smooths(), [0.0, 0.0]);
-        plan.rig.closes(Pose2::new(0.0, 1.0, 0.0));
-        assert_eq!((plan.tick(2.1), plan.tick(2.15)), (Status::Running, Status::Running));
-        assert_eq!(plan.smooths(), [1.0, 1.0], "all lies a metre farther to the left");
-        assert_eq!(plan.tick(2.2), Status::Success);
-        assert_eq!(plan.frame("smooth"), Some(1));
+        assert_eq!(drive.told(2.0, |rig| rig.route(&[], 24.0)), Status::Running);
+        assert_eq!(drive.path("path").frame, Some(0));
+        assert_eq!(smooths(&mut drive), [0.0, 0.0]);
+        drive.rig.closes(Pose2::new(0.0, 1.0, 0.0));
+        assert_eq!((drive.tick(2.1), drive.tick(2.15)), (Status::Running, Status::Running));
+        assert_eq!(smooths(&mut drive), [1.0, 1.0], "all lies a metre farther to the left");
+        assert_eq!(drive.tick(2.2), Status::Success);
+        assert_eq!(drive.path("smooth").frame, Some(1));
     }
 }

@@ -2,7 +2,6 @@
 
 use std::f64::consts::PI;
 
-use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::wrap_angle;
 use zenav_protocol::messages::GoalPoint;
@@ -73,7 +72,7 @@ impl Tracking {
                 frame: Some(from),
                 ..data
             };
-            data.here(&ctx.frames)
+            data.settled(&ctx.frames)
         });
     }
 
@@ -96,7 +95,7 @@ impl Tracking {
         let feedback = TrackingFeedback {
             position_tracking_error: near.left,
             heading_tracking_error: wrap_angle(pose.yaw - near.heading - reversed),
-            distance_to_goal: (pose.x - data.goal.x).hypot(pose.y - data.goal.y),
+            distance_to_goal: pose.distance(&data.goal.pose()),
             remaining_path_length: whole - near.along,
             speed: ctx.robot.velocity().v,
         };
@@ -111,7 +110,7 @@ impl Tracking {
     pub fn goals_ahead(&self) -> Vec<GoalPoint> {
         let Some(data) = &self.path else { return Vec::new() };
         let is_ahead = |goal: &&GoalPoint| {
-            path::nearest(&data.points, Point2::new(goal.x, goal.y), self.behind, f64::INFINITY)
+            path::nearest(&data.points, goal.position(), self.behind, f64::INFINITY)
                 .is_some_and(|near| near.along > self.behind + AT_VIA)
         };
         data.via.iter().filter(is_ahead).copied().collect()
@@ -120,6 +119,8 @@ impl Tracking {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point2;
+
     use super::super::path::DrivenPath;
     use super::*;
 

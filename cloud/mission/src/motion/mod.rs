@@ -12,11 +12,9 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
-use zenav_space::ConfigurationSpace;
 
 use self::pace::Pace;
-pub use self::recheck::Recheck;
-pub(crate) use self::recheck::{BLOCKED_WITHIN, recheck};
+pub(crate) use self::recheck::{BLOCKED_WITHIN, Recheck, recheck};
 use super::frames::MapFrames;
 use super::lease::newer;
 use super::robot::is_rest;
@@ -75,7 +73,7 @@ struct ActivePlan {
 }
 
 /// Maintains the plan in force.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct MotionKeeper {
     incarnation: u64,
     revisions: u64,
@@ -94,12 +92,7 @@ impl MotionKeeper {
     pub fn new(incarnation: u64) -> Self {
         Self {
             incarnation,
-            revisions: 0,
-            motions: 0,
-            current: None,
-            previous: None,
-            changed: false,
-            was_begun_for_leg: false,
+            ..Self::default()
         }
     }
 
@@ -108,15 +101,9 @@ impl MotionKeeper {
         self.was_begun_for_leg = true;
         let long_ago = Stamp::ZERO;
         self.current = Some(ActivePlan {
-            here: plan.trajectory.clone(),
-            plan,
             status: PlanStatus::Taken,
-            published: long_ago,
-            confirmed: long_ago,
-            held: false,
             was_taken: true,
-            refused: None,
-            pace: Pace::default(),
+            ..ActivePlan::sent(plan, Pace::default(), long_ago)
         });
     }
 
@@ -140,7 +127,7 @@ impl MotionKeeper {
 
     /// The trajectory in force, in the mission's frame of the map.
     #[must_use]
-    pub fn here(&self) -> Option<&Trajectory> {
+    pub fn trajectory(&self) -> Option<&Trajectory> {
         self.current.as_ref().map(|current| &current.here)
     }
 
@@ -204,17 +191,7 @@ impl MotionKeeper {
             .current
             .take()
             .filter(|current| current.status == PlanStatus::Taken);
-        self.current = Some(ActivePlan {
-            here: plan.trajectory.clone(),
-            plan: plan.clone(),
-            status: PlanStatus::Sent,
-            published: now,
-            confirmed: now,
-            held: false,
-            was_taken: false,
-            refused: None,
-            pace,
-        });
+        self.current = Some(ActivePlan::sent(plan.clone(), pace, now));
         self.changed = true;
         self.was_begun_for_leg = true;
         plan
@@ -326,17 +303,24 @@ impl MotionKeeper {
         let since = if moving { age.clamp(0.0, 0.5) } else { 0.0 };
         Some(progress.time + current.pace.within(since + ahead))
     }
-
-    /// Rechecks the rest of the trajectory, from plan time `from` on, with the true footprint.
-    #[must_use]
-    pub fn recheck(&self, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
-        self.current
-            .as_ref()
-            .map_or(Recheck::Free, |current| recheck(&current.here, space, from, escape))
-    }
 }
 
 impl ActivePlan {
+    /// A plan that is published now.
+    fn sent(plan: Plan, pace: Pace, now: Stamp) -> Self {
+        Self {
+            here: plan.trajectory.clone(),
+            plan,
+            status: PlanStatus::Sent,
+            published: now,
+            confirmed: now,
+            held: false,
+            was_taken: false,
+            refused: None,
+            pace,
+        }
+    }
+
     fn take(&mut self, now: Stamp, event: &Event) {
         if event.boot_id != self.plan.based_on.boot_id {
             return;
@@ -370,7 +354,6 @@ impl ActivePlan {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::geometry::Twist2;

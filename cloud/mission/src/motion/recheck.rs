@@ -20,7 +20,7 @@ const CONTACT: f64 = 2e-3;
 
 /// Result of a recheck.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Recheck {
+pub(crate) enum Recheck {
     /// Free according to the map.
     Free,
     /// An obstacle is on the path, this many seconds of plan time ahead.
@@ -81,7 +81,6 @@ pub(crate) fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from:
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
@@ -110,8 +109,7 @@ mod tests {
 
     #[test]
     fn a_turn_on_the_spot_is_rechecked_by_the_way_of_the_outline() {
-        let outline = [(-0.3, -0.1), (0.3, -0.1), (0.3, 0.1), (-0.3, 0.1)];
-        let outline = Footprint::Polygon(outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect());
+        let outline = zenav_fixtures::footprint(&[(-0.3, -0.1), (0.3, -0.1), (0.3, 0.1), (-0.3, 0.1)]);
         let space = space_of(&[(0.0, 0.2)], &outline);
         let turn: Trajectory = (0..=30)
             .map(|i| TrajectoryPoint {

@@ -12,13 +12,14 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
+use super::answer::route;
 use super::begin::{Begin, predicted};
 use super::waiting::Waiting;
-use super::{Route, Search, route};
+use super::{Route, Search};
 use crate::context::Context;
-use crate::io::{Answer, Ask, NoAnswer, Ticket};
+use crate::io::{Answer, NoAnswer, Ticket};
 use crate::leaves::path::{self, DrivenPath};
-use crate::motion::{PlanStatus, Recheck, recheck};
+use crate::motion::{PlanStatus, Recheck};
 
 /// A lidar sees an obstacle within this share of its range, and within this distance, m: farther away there is less than one beam per cell.
 const SEEN: (f64, f64) = (0.7, 12.0);
@@ -111,7 +112,7 @@ impl Search {
         (self.from_rest, self.replaces) = (false, false);
         self.approach = Some(Approach::Driving {
             id,
-            revision: ctx.map.newest().map_or(0, |map| map.revision),
+            revision: ctx.map.revision(),
             zones: ctx.map.zone_changes(),
         });
     }
@@ -146,14 +147,10 @@ impl Search {
             return false;
         };
         let Ok(begin) = predicted(ctx, true) else { return false };
-        let goal = GoalPoint {
-            x: place.x,
-            y: place.y,
-            yaw: None,
-        };
+        let goal = GoalPoint::at(place.x, place.y);
         let plan = PlanRequest {
             via: Vec::new(),
-            goal: Pose2::new(place.x, place.y, 0.0),
+            goal: goal.pose(),
             ..self.plan_request(ctx, model, map, begin.pose)
         };
         let request = TrajectoryRequest {
@@ -162,8 +159,8 @@ impl Search {
             goal_yaw: None,
             profile: ctx.goal.profile,
         };
-        let ask = Ask::Motion(Box::new(MotionRequest::Trajectory(request)));
-        self.approach = Some(Approach::Asked(ctx.asks.ask(ask), begin, goal));
+        let ticket = ctx.asks.ask_motion(MotionRequest::Trajectory(request));
+        self.approach = Some(Approach::Asked(ticket, begin, goal));
         true
     }
 }
@@ -210,14 +207,12 @@ impl Waiting {
     /// Plan time at which the robot, on the plan in force, comes nearer to the obstacle than the distance that it keeps, s.
     pub(super) fn kept_off_until(&self, ctx: &Context) -> Option<f64> {
         let kept = ctx.robot.model()?.footprint.circumscribed_radius() + KEPT;
-        let time = ctx.motion.time(ctx.robot.state()?, 0.0, 0.0)?;
-        comes_near(ctx.motion.here()?, time, &self.cells, kept)
+        comes_near(ctx.motion.trajectory()?, ctx.plan_time()?, &self.cells, kept)
     }
 
     /// Whether the moving robot can still stop at that distance.
     pub(super) fn may_be_kept_off(&self, ctx: &Context) -> bool {
-        let time = ctx.robot.state().and_then(|state| ctx.motion.time(state, 0.0, 0.0));
-        let times = self.kept_off_until(ctx).zip(time).zip(ctx.stopping_time());
+        let times = self.kept_off_until(ctx).zip(ctx.plan_time()).zip(ctx.stopping_time());
         times.is_some_and(|((until, time), stopping)| until - time >= stopping)
     }
 }
@@ -252,9 +247,7 @@ fn approach(ctx: &mut Context, begin: Begin, goal: GoalPoint, answer: Result<Ans
         && smooth.map.frame == ctx.frames.at()
         && may_set_out(ctx)
         && ctx.robot.pose().is_some_and(is_there);
-    let escape = ctx.config.settings.escape;
-    let space = ctx.space_now().ok().filter(|_| is_driven)?;
-    let is_free = recheck(&smooth.trajectory, &space, 0.0, escape) == Recheck::Free;
+    let is_free = is_driven && ctx.recheck_new(&smooth.trajectory) == Ok(Recheck::Free);
     is_free.then(|| {
         Box::new(route(
             begin,
@@ -272,7 +265,7 @@ fn approach(ctx: &mut Context, begin: Begin, goal: GoalPoint, answer: Result<Ans
 
 /// Renews the plan in force when due and free; if an obstacle has come into its way, the robot brakes, and the approach ends.
 fn keep_up(ctx: &mut Context, id: u64, (revision, zones): (u64, u64)) -> Option<Approach> {
-    let newest = ctx.map.newest().map_or(0, |map| map.revision);
+    let newest = ctx.map.revision();
     let checked = Approach::Driving {
         id,
         revision: newest,
@@ -282,10 +275,7 @@ fn keep_up(ctx: &mut Context, id: u64, (revision, zones): (u64, u64)) -> Option<
     if !is_due && newest == revision && ctx.map.zone_changes() == zones {
         return Some(checked);
     }
-    let time = ctx.robot.state().and_then(|state| ctx.motion.time(state, 0.0, 0.0));
-    let escape = ctx.config.settings.escape;
-    let space = ctx.space_now();
-    match space.map(|space| ctx.motion.recheck(&space, time.unwrap_or(0.0), escape)) {
+    match ctx.recheck_rest() {
         Ok(Recheck::Free) if is_due => ctx.renew(),
         Ok(Recheck::Blocked(ahead)) => {
             ctx.hold_within(ahead);

@@ -45,7 +45,7 @@ pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'s
     // A held trajectory still runs to the point where the new one begins, only slower.
     let follows = state.mode == Mode::Follow && !from_rest;
     if let (Some(time), true, Some(trajectory), Some(trajectory_id)) =
-        (ahead, follows, ctx.motion.here(), ctx.motion.id())
+        (ahead, follows, ctx.motion.trajectory(), ctx.motion.id())
     {
         let time = time.max(0.0);
         if time + SHORT_REST < trajectory.end_time() {

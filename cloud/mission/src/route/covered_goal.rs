@@ -18,7 +18,7 @@ const FORGOTTEN: f64 = 60.0;
 impl Search {
     /// Cells of the transient obstacle that covers the goal as seen from `from`; none once the robot has waited for it long enough.
     pub(super) fn covers_goal(&self, ctx: &mut Context, from: Point2<f64>) -> Vec<TransientCell> {
-        let goal = Point2::new(self.request.goal.x, self.request.goal.y);
+        let goal = self.request.goal.position();
         let Some(model) = ctx.robot.model() else {
             return Vec::new();
         };

@@ -7,6 +7,7 @@
 //! path then, the search waits for them: it asks again when one of them leaves, and each second. If the path round them is much longer
 //! than the one through them, it waits, too, as long as that is likely to be sooner. A moving robot waits on the plan in force.
 
+mod answer;
 mod approach;
 mod begin;
 mod covered_goal;
@@ -18,17 +19,15 @@ use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    GoalPoint, KnownCourse, MapRef, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest, PlanStatistics,
-    SmoothReply, SmoothRequest, TrajectoryRequest, check_backwards,
+    GoalPoint, KnownCourse, MapRef, MotionRequest, PlanRequest, SmoothRequest, TrajectoryRequest,
 };
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
-use zenav_protocol::trajectory::Trajectory;
 
 use super::context::Context;
 use super::frames::{MapFrames, moved_points};
-use super::io::{Answer, Ask, NoAnswer, Ticket};
-use super::leaves::path::{self, DrivenPath};
+use super::io::Ticket;
+use super::leaves::path::DrivenPath;
 use super::motion::PlanDraft;
 use super::transient::TransientCell;
 use approach::Approach;
@@ -61,8 +60,6 @@ pub(crate) mod error_code {
 
 /// A robot that does not fit at its goal may end this near to it, as a share of the goal's tolerance.
 pub(crate) const NEARBY: f64 = 0.8;
-/// A path shorter than this counts as being at the goal, m.
-const AT_GOAL: f64 = 0.05;
 /// State of a search without an answering motion worker.
 const NO_WORKER: &str = "waits for a motion worker";
 
@@ -113,7 +110,6 @@ pub struct RouteData {
     pub driven: f64,
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
@@ -122,7 +118,7 @@ impl RouteData {
     /// The same in the present frame of the map: the path moved with the robot's surroundings, the goals with theirs. `None` if its frame
     /// is too old.
     #[must_use]
-    pub fn here(self, frames: &MapFrames) -> Option<Self> {
+    pub fn settled(self, frames: &MapFrames) -> Option<Self> {
         let from = self.frame.unwrap_or(frames.at());
         if from == frames.at() {
             return Some(self);
@@ -317,7 +313,7 @@ impl Search {
         }
         let done = waiting.make_room(ctx) || !waiting.is_in_sight(ctx) && self.ask_for_approach(ctx, waiting);
         if !done {
-            look_at(ctx, Point2::new(waiting.blockage.x, waiting.blockage.y));
+            look_at(ctx, waiting.blockage.position());
         }
         None
     }
@@ -386,12 +382,7 @@ impl Search {
                 model,
                 map,
                 path: path.points.clone(),
-                via: self
-                    .request
-                    .via
-                    .iter()
-                    .map(|goal| Point2::new(goal.x, goal.y))
-                    .collect(),
+                via: self.request.via.iter().map(GoalPoint::position).collect(),
                 backwards: path.backwards.clone(),
                 start: begin.pose,
                 start_velocity: begin.twist,
@@ -399,7 +390,7 @@ impl Search {
                 unknown_is_free: ctx.config.settings.unknown_is_free,
                 profile: ctx.goal.profile,
             };
-            let ticket = ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request))));
+            let ticket = ctx.asks.ask_motion(MotionRequest::Smooth(request));
             self.stage = Stage::Given(ticket, begin, path);
             return self.awaits(ctx, "smooths");
         }
@@ -414,7 +405,7 @@ impl Search {
                 profile: ctx.goal.profile,
             })
         };
-        self.stage = Stage::Asked(ctx.asks.ask(Ask::Motion(Box::new(request))), begin);
+        self.stage = Stage::Asked(ctx.asks.ask_motion(request), begin);
         self.awaits(ctx, "plans")
     }
 
@@ -425,14 +416,13 @@ impl Search {
     }
 
     fn plan_request(&self, ctx: &Context, model: RobotModel, map: MapRef, start: Pose2) -> PlanRequest {
-        let pose = |point: &GoalPoint| Pose2::new(point.x, point.y, point.yaw.unwrap_or(0.0));
         PlanRequest {
             robot: ctx.config.robot.to_string(),
             model,
             map,
             start,
-            via: self.request.via.iter().map(pose).collect(),
-            goal: pose(&self.request.goal),
+            via: self.request.via.iter().map(GoalPoint::pose).collect(),
+            goal: self.request.goal.pose(),
             planner: self.planner.clone(),
             unknown_is_free: ctx.config.settings.unknown_is_free,
             cleared: Vec::new(),
@@ -460,231 +450,10 @@ impl Search {
         now.secs_since(self.begun)
     }
 
-    fn answered(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
-        self.unanswered = matches!(answer, Err(NoAnswer::Silent(_)));
-        let reply = match answer {
-            Ok(Answer::Motion(reply)) => *reply,
-            Err(NoAnswer::Refused(refusal)) => {
-                return failed(error_code::UNKNOWN, format!("the motion worker refuses: {refusal}"));
-            }
-            Err(NoAnswer::Silent(_)) => {
-                // Bounded by the goal's own deadline.
-                return self.again(ctx, NO_WORKER);
-            }
-            Ok(_) => return off_topic(),
-        };
-        let (plan, smooth) = match reply {
-            MotionReply::Plan(plan) if self.request.from.is_some() => (plan, None),
-            MotionReply::Trajectory(reply) if self.request.from.is_none() => {
-                self.arrival_secs = reply.arrival_secs;
-                (reply.plan, reply.smooth)
-            }
-            _ => return off_topic(),
-        };
-        if plan.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() {
-            return self.again(ctx, "plans anew: the map has moved");
-        }
-        let path = match plan.outcome {
-            PlanOutcome::Found { ref path, .. } => path.clone(),
-            PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < ctx.config.settings.retries.map_wait => {
-                return self.again(ctx, "waits until the motion worker has the map");
-            }
-            _ if self.request.past_others => {
-                return failed(
-                    error_code::NO_VALID_PATH,
-                    "no path leads past the other robots".to_owned(),
-                );
-            }
-            _ => return self.no_path(ctx, &begin, &plan),
-        };
-        let is_finite = path.iter().all(|p| p.x.is_finite() && p.y.is_finite());
-        if path.len() < 2 || !is_finite || check_backwards(&plan.backwards, path.len()).is_err() {
-            return failed(error_code::UNKNOWN, "the planner returned an invalid path".to_owned());
-        }
-        if !self.request.past_others
-            && let Some(waits) = self.until_the_goal_is_uncovered(ctx, &begin, &path)
-        {
-            return waits;
-        }
-        if plan.escapes {
-            tracing::info!(goal = ctx.goal.id, x = path[1].x, y = path[1].y, "leaves an obstacle");
-            ctx.goal.feedback.recoveries += 1;
-        }
-        let (planner, search_ms) = (self.planner.clone(), plan.search_ms);
-        let statistics = |found: PlanStatistics| PlanStatistics {
-            planner,
-            search_ms,
-            ..found
-        };
-        match smooth {
-            None if self.request.from.is_some() => self.found(
-                begin,
-                DrivenPath {
-                    points: path,
-                    backwards: plan.backwards,
-                },
-                plan.map,
-                Trajectory::default(),
-                statistics(PlanStatistics::default()),
-            ),
-            None => off_topic(),
-            // If there is nothing to drive, the goal is the only waypoint.
-            Some(smooth) if smooth.trajectory.is_empty() && path::length(&path) >= AT_GOAL => {
-                let goal = named(&self.request.goal);
-                let reason = format!("the path to {goal} cannot be driven: {}", smooth.statistics.status);
-                let code = error_code::UNKNOWN;
-                self.unless_an_end_is_taken(ctx, &begin, &path, NoRoute { code, reason })
-            }
-            Some(SmoothReply {
-                map,
-                trajectory,
-                statistics: found,
-                ..
-            }) => {
-                let path = DrivenPath {
-                    points: path,
-                    backwards: plan.backwards,
-                };
-                let route = self.route(begin, path, map, trajectory, statistics(found));
-                self.unless_waiting_is_sooner(ctx, route)
-            }
-        }
-    }
-
-    /// Handles the trajectory along the given path; without one, another path is planned.
-    fn smoothed(
-        &mut self,
-        ctx: &mut Context,
-        begin: Begin,
-        path: DrivenPath,
-        answer: Result<Answer, NoAnswer>,
-    ) -> Searching {
-        self.unanswered = matches!(answer, Err(NoAnswer::Silent(_)));
-        let why = match answer {
-            Ok(Answer::Motion(reply)) => match *reply {
-                MotionReply::Smooth(reply) if reply.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() => {
-                    return self.again(ctx, "plans anew: the map has moved");
-                }
-                MotionReply::Smooth(reply) if !reply.trajectory.is_empty() || path::length(&path.points) < AT_GOAL => {
-                    return self.found(begin, path, reply.map, reply.trajectory, reply.statistics);
-                }
-                MotionReply::Smooth(reply) => reply.statistics.status,
-                _ => return off_topic(),
-            },
-            Err(NoAnswer::Refused(refusal)) => refusal.to_string(),
-            Err(NoAnswer::Silent(_)) => return self.again(ctx, NO_WORKER),
-            Ok(_) => return off_topic(),
-        };
-        tracing::info!(goal = ctx.goal.id, why, "the given path cannot be driven");
-        self.request.given = DrivenPath::default();
-        self.stage = Stage::Idle(ctx.now);
-        Searching::Wait("plans another path: the given one cannot be driven")
-    }
-
-    fn no_path(&mut self, ctx: &mut Context, begin: &Begin, plan: &PlanReply) -> Searching {
-        self.goes_round = false;
-        let goal = named(self.request.via.get(plan.leg).unwrap_or(&self.request.goal));
-        let (code, reason) = match &plan.outcome {
-            PlanOutcome::GoalOccupied { nearest_free } => {
-                let near = nearest_free
-                    .map(|p| format!("; the nearest free place is ({:.2}, {:.2})", p.x, p.y))
-                    .unwrap_or_default();
-                let reason =
-                    format!("the goal {goal} is occupied: by the map of now the robot does not fit there{near}");
-                (error_code::GOAL_OCCUPIED, reason)
-            }
-            PlanOutcome::StartOccupied { .. } => (
-                error_code::START_OCCUPIED,
-                "by the map the robot does not fit where it stands".to_owned(),
-            ),
-            PlanOutcome::NoPath => (
-                error_code::NO_VALID_PATH,
-                format!("no path: the goal {goal} is closed off from the robot"),
-            ),
-            PlanOutcome::OutOfMap => (
-                error_code::OUTSIDE_MAP,
-                format!("the robot or the goal {goal} lies outside the map"),
-            ),
-            PlanOutcome::TimedOut => (error_code::TIMEOUT, "the search took too long".to_owned()),
-            PlanOutcome::NoMap | PlanOutcome::Found { .. } => (
-                error_code::UNKNOWN,
-                "the motion worker has no map of this robot".to_owned(),
-            ),
-        };
-        self.unless_it_leaves(ctx, begin, NoRoute { code, reason })
-    }
-
-    fn found(
-        &mut self,
-        begin: Begin,
-        path: DrivenPath,
-        map: MapRef,
-        trajectory: Trajectory,
-        statistics: PlanStatistics,
-    ) -> Searching {
-        let route = self.route(begin, path, map, trajectory, statistics);
-        self.takes(route)
-    }
-
-    fn route(
-        &self,
-        begin: Begin,
-        path: DrivenPath,
-        map: MapRef,
-        trajectory: Trajectory,
-        statistics: PlanStatistics,
-    ) -> Box<Route> {
-        Box::new(Route {
-            arrival_secs: self.arrival_secs,
-            ..route(begin, self.request.goal, path, map, trajectory, statistics)
-        })
-    }
-
-    fn takes(&mut self, route: Box<Route>) -> Searching {
-        self.waiting = None;
-        Searching::Found(route)
-    }
-
     fn again(&mut self, ctx: &Context, why: &'static str) -> Searching {
         self.stage = Stage::Idle(ctx.now.plus_secs(ctx.config.settings.retries.worker_wait));
         Searching::Wait(why)
     }
-}
-
-fn route(
-    begin: Begin,
-    goal: GoalPoint,
-    path: DrivenPath,
-    map: MapRef,
-    trajectory: Trajectory,
-    statistics: PlanStatistics,
-) -> Route {
-    let plan = PlanDraft {
-        map,
-        waypoints: path.points.iter().skip(1).copied().collect(),
-        trajectory,
-        splice: begin.splice,
-        statistics,
-    };
-    Route {
-        id: 0,
-        goal,
-        length: path::length(&path.points),
-        path,
-        begin: begin.pose,
-        plan,
-        arrival_secs: None,
-    }
-}
-
-/// Text of a goal.
-fn named(goal: &GoalPoint) -> String {
-    format!("({:.2}, {:.2})", goal.x, goal.y)
-}
-
-fn off_topic() -> Searching {
-    let reason = "the motion worker answered another request".to_owned();
-    failed(error_code::UNKNOWN, reason)
 }
 
 fn failed(code: i64, reason: String) -> Searching {

@@ -77,11 +77,7 @@ mod tests {
 
     #[test]
     fn a_given_path_is_joined_where_it_is_near_and_dropped_where_it_is_not() {
-        let goal = GoalPoint {
-            x: 3.0,
-            y: 0.0,
-            yaw: None,
-        };
+        let goal = GoalPoint::at(3.0, 0.0);
         let mut request = RouteRequest {
             given: DrivenPath::forwards(vec![Point2::new(0.0, 0.0), Point2::new(3.0, 0.0)]),
             ..RouteRequest::to(goal)
@@ -95,11 +91,7 @@ mod tests {
 
     #[test]
     fn a_given_path_is_joined_in_the_direction_in_which_it_is_driven_there() {
-        let goal = GoalPoint {
-            x: 0.0,
-            y: 0.0,
-            yaw: None,
-        };
+        let goal = GoalPoint::at(0.0, 0.0);
         let given = DrivenPath {
             points: [(0.0, 0.0), (4.0, 0.0), (4.0, -3.0), (0.0, -3.0)]
                 .map(|(x, y)| Point2::new(x, y))
@@ -129,11 +121,7 @@ mod tests {
         };
         let mut request = RouteRequest {
             given,
-            ..RouteRequest::to(GoalPoint {
-                x: 12.0,
-                y: 0.0,
-                yaw: None,
-            })
+            ..RouteRequest::to(GoalPoint::at(12.0, 0.0))
         };
         let joined = request.join_given(Point2::new(0.02, 0.0)).unwrap();
         let along: Vec<f64> = joined.points.iter().map(|point| point.x).collect();

@@ -4,15 +4,17 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::{
-    BehaviourAction, BehaviourRequest, Blockage, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest,
+    BehaviourAction, BehaviourRequest, Blockage, GoalPoint, MotionReply, MotionRequest, PlanOutcome, PlanReply,
+    PlanRequest,
 };
 use zenav_protocol::time::Stamp;
 
+use super::answer::named;
 use super::begin::Begin;
-use super::{NoRoute, Search, Searching, Stage, error_code, named};
+use super::{NoRoute, Search, Searching, Stage, error_code};
 use crate::context::Context;
 use crate::frames::moved_points;
-use crate::io::{Answer, Ask, NoAnswer, Ticket};
+use crate::io::{Answer, NoAnswer, Ticket};
 use crate::leaves::path;
 use crate::transient::TransientCell;
 
@@ -91,7 +93,7 @@ impl InSight {
 
 /// Whether two blockages are so near to each other that they are one.
 fn is_same(one: Blockage, other: Blockage) -> bool {
-    (one.x - other.x).hypot(one.y - other.y) <= SAME_PLACE
+    (one.position() - other.position()).norm() <= SAME_PLACE
 }
 
 impl Waiting {
@@ -152,7 +154,7 @@ impl Waiting {
 
     /// What bars the same path now; the part of the obstacle that is left keeps its first time.
     pub(super) fn now(&self, ctx: &Context) -> Option<Self> {
-        let cells = ctx.map.transient(&[Point2::new(self.blockage.x, self.blockage.y)]);
+        let cells = ctx.map.transient(&[self.blockage.position()]);
         let mut now = Self::on(&self.way, &cells, reach(ctx), ctx.now)?;
         if self.count(ctx) > 0 {
             now.keep_first_time(self.blockage);
@@ -163,11 +165,13 @@ impl Waiting {
     /// The same in the present frame of the map: it moves with the robot's surroundings. `None` if its frame is too old.
     pub(crate) fn settle(self, from: u64, ctx: &Context) -> Option<Self> {
         let moved = ctx.frames.robot(from)?;
-        let Blockage { x, y, since } = self.blockage;
-        let place = moved.transform_point(Point2::new(x, y));
-        let (x, y) = (place.x, place.y);
+        let place = moved.transform_point(self.blockage.position());
         let mut settled = Self {
-            blockage: Blockage { x, y, since },
+            blockage: Blockage {
+                x: place.x,
+                y: place.y,
+                ..self.blockage
+            },
             cells: moved_points(&self.cells, moved),
             way: moved_points(&self.way, moved),
             ..self
@@ -262,7 +266,7 @@ impl Search {
         }
         self.cleared = self.what_may_leave(ctx, &[begin.pose.position()]);
         // One or two beam returns near a goal far away are not enough to tell what they hit.
-        let goal = Point2::new(self.request.goal.x, self.request.goal.y);
+        let goal = self.request.goal.position();
         let near = reach(ctx);
         let is_far = (goal - begin.pose.position()).norm() > TOLD_WITHIN + near;
         self.doubts = no_route.code == error_code::GOAL_OCCUPIED && is_far && ctx.goal.tries.are_left();
@@ -279,7 +283,7 @@ impl Search {
     /// Transient cells near these places and the goals.
     pub(super) fn what_may_leave(&self, ctx: &Context, places: &[Point2<f64>]) -> Vec<TransientCell> {
         let goals = self.request.via.iter().chain([&self.request.goal]);
-        let goals = goals.map(|goal| Point2::new(goal.x, goal.y)).take(MAX_GOALS);
+        let goals = goals.map(GoalPoint::position).take(MAX_GOALS);
         let near: Vec<Point2<f64>> = places.iter().copied().chain(goals).collect();
         let mut cells = ctx.map.transient(&near);
         // What may leave may still do so when the robot sees another side of it.
@@ -302,7 +306,7 @@ impl Search {
             cleared: self.cleared.iter().map(|cell| cell.center).collect(),
             ..self.plan_request(ctx, model, map, start)
         };
-        Some(ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Plan(request)))))
+        Some(ctx.asks.ask_motion(MotionRequest::Plan(request)))
     }
 
     /// The answer to that request.
@@ -328,10 +332,7 @@ impl Search {
         if !self.may_wait(ctx) {
             return self.given_up(ctx, no_route);
         }
-        let ends = [
-            begin.pose.position(),
-            Point2::new(self.request.goal.x, self.request.goal.y),
-        ];
+        let ends = [begin.pose.position(), self.request.goal.position()];
         let cells = ctx.map.transient(&ends);
         self.doubts = false;
         self.wait(ctx, path, &cells, no_route)
@@ -471,9 +472,7 @@ fn ask_behaviour(ctx: &mut Context, action: BehaviourAction) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::grid::GridSpec;
     use zenav_protocol::id::Id;
     use zenav_protocol::messages::{MapFrame, MapPatch, MapRef, TILE, Tile};
 
@@ -494,12 +493,7 @@ mod tests {
                 stamp: Stamp(frame + 1),
                 map: map(frame),
                 base_revision: frame,
-                spec: GridSpec {
-                    origin: Point2::origin(),
-                    resolution: 0.05,
-                    width: TILE,
-                    height: TILE,
-                },
+                spec: zenav_fixtures::spec(TILE, TILE, 0.05),
                 tiles: vec![Tile {
                     x: 0,
                     y: 0,

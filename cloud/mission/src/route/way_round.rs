@@ -62,7 +62,7 @@ impl Search {
             return Searching::Wait("is about to plan");
         }
         let barred = blocked_from(ctx, from);
-        let (Some(barred), Some(plan)) = (barred, ctx.motion.here()) else {
+        let (Some(barred), Some(plan)) = (barred, ctx.motion.trajectory()) else {
             return self.takes(route);
         };
         let cost = route.plan.trajectory.duration() - (plan.end_time() - from);
@@ -164,7 +164,7 @@ impl Search {
 /// Whether a route takes much longer than a straight line at top speed through these goals, and longer than the rest of the plan in force.
 pub(crate) fn is_long(ctx: &Context, via: &[GoalPoint], route: &Route) -> bool {
     let goals = via.iter().chain([&route.goal]);
-    let goals = goals.map(|goal| Point2::new(goal.x, goal.y));
+    let goals = goals.map(GoalPoint::position);
     let corners: Vec<Point2<f64>> = [route.begin.position()].into_iter().chain(goals).collect();
     let speed = ctx.robot.model().map_or(f64::INFINITY, |model| Limits::of(model).speed);
     let straight = path::length(&corners) / speed;
@@ -194,15 +194,14 @@ fn is_last_chance(round: f64, left: f64, attempt: f64) -> bool {
 
 /// Where the plan in force is blocked.
 fn barred_at(ctx: &mut Context) -> Option<Point2<f64>> {
-    let time = ctx.motion.time(ctx.robot.state()?, 0.0, 0.0)?;
+    let time = ctx.plan_time()?;
     let barred = blocked_from(ctx, time)?;
-    Some(ctx.motion.here()?.sample(barred).position())
+    Some(ctx.motion.trajectory()?.sample(barred).position())
 }
 
 /// Plan time at which the rest of the plan in force is blocked, from a plan time on, s.
 fn blocked_from(ctx: &mut Context, from: f64) -> Option<f64> {
-    let space = ctx.space_now().ok()?;
-    match ctx.motion.recheck(&space, from, ctx.config.settings.escape) {
+    match ctx.recheck_from(from).ok()? {
         Recheck::Blocked(ahead) => Some(from + ahead),
         Recheck::Free => None,
     }

@@ -1,39 +1,17 @@
 //! Tests of the store: written records are kept, and damaged files are refused.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use super::*;
-use zenav_protocol::messages::{GoalFeedback, GoalPhase, GoalReply, GoalRequest, GoalState};
+use zenav_protocol::messages::{GoalPhase, GoalReply, GoalRequest};
 use zenav_protocol::time::Stamp;
 
 fn goal(id: &str, sequence: u64) -> Record {
-    let state = GoalState {
-        queue: None,
-        resolved: Vec::new(),
-        id: id.into(),
-        robot: "r".into(),
-        state: GoalPhase::Accepted,
-        reason: None,
-        accepted: Stamp(1),
-        started: None,
-        ended: None,
-        feedback: GoalFeedback::default(),
-        legs: Vec::new(),
-        request: GoalRequest {
-            x: Some(0.1),
-            y: Some(0.2),
-            ..GoalRequest::default()
-        },
+    let request = GoalRequest {
+        x: Some(0.1),
+        y: Some(0.2),
+        ..GoalRequest::default()
     };
-    Record::Goal(Box::new(super::super::records::StoredGoal {
-        moved: None,
-        anchors: None,
-        sequence,
-        urgent: false,
-        paused_secs: 0.0,
-        paused_since: None,
-        state,
-    }))
+    let goal = StoredGoal::accepted(sequence, "r", id.into(), request, false, Stamp(1));
+    Record::Goal(Box::new(goal))
 }
 
 #[test]
@@ -42,17 +20,11 @@ fn what_was_written_is_there_in_the_next_life() {
     let path = folder.path().join("deep/mission.redb");
     let store = MissionStore::open(&path, "r").unwrap();
     assert_eq!(store.begin_life().unwrap().incarnation, 1);
-    let reply = GoalReply {
-        robot: None,
-        id: "a".into(),
-        state: GoalPhase::Canceled,
-        reason: None,
-    };
     store
         .write(&[
             goal("a", 1),
             goal("b", 2),
-            Record::Answer("r1".into(), reply.clone()),
+            Record::Answer("r1".into(), reply()),
             Record::Tree(None),
         ])
         .unwrap();
@@ -71,7 +43,7 @@ fn what_was_written_is_there_in_the_next_life() {
             .collect::<Vec<_>>(),
         ["b"]
     );
-    assert_eq!(second.answers, [("r1".to_owned(), reply)]);
+    assert_eq!(second.answers, [("r1".to_owned(), reply())]);
     assert_eq!((second.tree, second.motion), (None, None));
 }
 

@@ -1,5 +1,4 @@
 //! Transient obstacles, on a sequence of map states.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
 use zenav_protocol::messages::{MapRef, Tile};
 
@@ -41,11 +40,7 @@ impl Shown {
                 .map(|at| self.grid.values()[((y * 64 + at / 64) * 128 + x * 64 + at % 64) as usize])
                 .collect(),
         });
-        let map = MapRef {
-            id: "m".to_owned(),
-            revision: self.secs as u64,
-            frame: 0,
-        };
+        let map = MapRef::new("m", self.secs as u64);
         let patch = MapPatch {
             stamp: Stamp::ZERO,
             base_revision: 0,

@@ -1,4 +1,4 @@
-//! Peer. A* of the crate `pathfinding` over the same grid, with costs in millionths of a cell.
+//! Peer. A* of the crate `pathfinding` over the same grid, with costs in millionths of a cell; successors need no memory of their own.
 
 use pathfinding::prelude::astar;
 use zenav_planning::Query;
@@ -30,7 +30,7 @@ fn octile(from: (i32, i32), to: (i32, i32)) -> u64 {
     STRAIGHT * dx.max(dy) + (DIAGONAL - STRAIGHT) * dx.min(dy)
 }
 
-fn successors(free: &BitGrid, (x, y): (i32, i32)) -> Vec<((i32, i32), u64)> {
+fn successors(free: &BitGrid, (x, y): (i32, i32)) -> impl Iterator<Item = ((i32, i32), u64)> {
     let is_free = |x: i32, y: i32| x >= 0 && y >= 0 && free.get(Cell::new(x as u32, y as u32));
     let (east, west, north, south) = (
         is_free(x + 1, y),
@@ -38,26 +38,21 @@ fn successors(free: &BitGrid, (x, y): (i32, i32)) -> Vec<((i32, i32), u64)> {
         is_free(x, y + 1),
         is_free(x, y - 1),
     );
-    let mut steps = Vec::with_capacity(8);
-    for (open, to) in [
+    let straight = [
         (east, (x + 1, y)),
         (west, (x - 1, y)),
         (north, (x, y + 1)),
         (south, (x, y - 1)),
-    ] {
-        if open {
-            steps.push((to, STRAIGHT));
-        }
-    }
-    for (open, to) in [
+    ];
+    let diagonal = [
         (north && east, (x + 1, y + 1)),
         (north && west, (x - 1, y + 1)),
         (south && east, (x + 1, y - 1)),
         (south && west, (x - 1, y - 1)),
-    ] {
-        if open && is_free(to.0, to.1) {
-            steps.push((to, DIAGONAL));
-        }
-    }
-    steps
+    ]
+    .map(|(open, to)| (open && is_free(to.0, to.1), to));
+    let straight = straight.into_iter().map(|(open, to)| (open, to, STRAIGHT));
+    let diagonal = diagonal.into_iter().map(|(open, to)| (open, to, DIAGONAL));
+    let steps = straight.chain(diagonal).filter(|(open, _, _)| *open);
+    steps.map(|(_, to, cost)| (to, cost))
 }

@@ -1,6 +1,5 @@
 //! Queries of a map. The longest published ones, or the longest of many random pairs.
 
-use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_mapping::{cell_from_top, parse_moving_ai_scenarios};
@@ -55,10 +54,9 @@ pub fn drawn(free: &BitGrid) -> Vec<Query> {
 }
 
 fn query(start: Cell, goal: Cell) -> Query {
-    let [start, goal] = [start, goal].map(|cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5));
     Query {
-        start,
-        goal,
+        start: start.center(),
+        goal: goal.center(),
         seed: SEED,
     }
 }

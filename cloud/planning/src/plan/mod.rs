@@ -18,6 +18,7 @@ use super::cell_cost::clearance_cost;
 use super::circumscribed_search;
 use super::ends::{End, cell_beside, leaving};
 use super::options::PlanOptions;
+use super::path::length;
 use super::se2_search;
 use super::searcher::{NotFound, Query, Searched, Searcher};
 use straight_out::straight_out;
@@ -411,7 +412,7 @@ fn nearest_standing(space: &ConfigurationSpace, place: Point2<f64>) -> Option<Po
 }
 
 fn found(path: Vec<Point2<f64>>) -> PlanOutcome {
-    let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let length = length(&path);
     PlanOutcome::Found { path, length }
 }
 

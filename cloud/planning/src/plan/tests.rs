@@ -1,5 +1,4 @@
 //! Tests of the paths that robots get.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
 use crate::Planner;
@@ -165,8 +164,7 @@ fn a_robot_close_to_a_wall_leaves_it() {
 
 /// 0.8 m by 0.3 m.
 fn long_outline() -> Footprint {
-    let corners = [(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)];
-    Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec())
+    zenav_fixtures::footprint(&[(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)])
 }
 
 /// The long robot in the room, where the dividing wall has a door of `gap` cells.

@@ -173,7 +173,6 @@ fn trace(graph: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memory
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::cell_cost::PARTS;

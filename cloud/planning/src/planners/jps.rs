@@ -402,7 +402,6 @@ impl Run<'_> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::cell_cost::Uniform;

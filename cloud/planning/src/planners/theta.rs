@@ -16,7 +16,7 @@ use crate::budget::Budget;
 use crate::grid_graph::{GridGraph, STEPS, STRAIGHT};
 use crate::node_table::NodeTable;
 use crate::open_list::{Open, OpenList, is_past};
-use crate::path::{Path, center};
+use crate::path::Path;
 use crate::searcher::{NotFound, Query, Searched};
 use crate::string_pulling::pull_string;
 
@@ -92,10 +92,10 @@ fn expand(
 ) -> Result<Path, NotFound> {
     let (start, goal) = query.cells();
     let (start_node, goal_node) = graph.ends(start, goal)?;
-    if !sight.sees(query.start, center(start)) {
+    if !sight.sees(query.start, start.center()) {
         return Err(NotFound::StartBlocked);
     }
-    if !sight.sees(center(goal), query.goal) {
+    if !sight.sees(goal.center(), query.goal) {
         return Err(NotFound::GoalBlocked);
     }
     if sight.sees(query.start, query.goal) {
@@ -119,7 +119,7 @@ fn expand(
         }
         let cell = graph.cell(node);
         let mut parent = graph.cell(here.parent);
-        if !sight.sees(center(parent), center(cell)) {
+        if !sight.sees(parent.center(), cell.center()) {
             here = beside(graph, memory, node);
             memory.reached.set(node, here);
             let true_estimate = here.cost() + distance(cell, goal);
@@ -191,7 +191,7 @@ fn path(
     let mut corners = vec![query.goal];
     let mut node = goal_node;
     loop {
-        corners.push(center(graph.cell(node)));
+        corners.push(graph.cell(node).center());
         let parent = memory.reached.get(node).parent;
         if parent == node {
             break;
@@ -212,7 +212,6 @@ fn distance(from: Cell, to: Cell) -> u32 {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use std::sync::atomic::AtomicBool;
@@ -255,8 +254,8 @@ mod tests {
 
     fn query(start: Cell, goal: Cell) -> Query {
         Query {
-            start: center(start),
-            goal: center(goal),
+            start: start.center(),
+            goal: goal.center(),
             seed: 1,
         }
     }

@@ -1,9 +1,7 @@
 //! Tests of replanning: a kept answer is as good as a new search.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use proptest::prelude::*;
-use zenav_protocol::grid::{Grid, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::PlanOutcome;
 use zenav_protocol::robot::Footprint;
 
@@ -21,7 +19,7 @@ const SIDE: u32 = 90;
 
 fn end(cell: Cell) -> End {
     End {
-        point: Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5),
+        point: cell.center(),
         cell,
     }
 }
@@ -277,11 +275,7 @@ fn a_diagonal_step_beside_a_cell_that_became_known_is_not_missed() {
 #[test]
 fn a_map_that_has_grown_is_prepared_anew() {
     let mut replanner = Replanner::new(&space(&room())).unwrap();
-    let spec = GridSpec {
-        width: 2 * SIDE,
-        ..*room().spec()
-    };
-    let grid = Grid::filled(spec, Occupancy::FREE);
+    let grid = zenav_fixtures::free_map(zenav_fixtures::spec(2 * SIDE, SIDE, 1.0));
     let goal = Pose2::new(170.5, 5.5, 0.0);
     let planned = replanner.plan(
         &space(&grid),

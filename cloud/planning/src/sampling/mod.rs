@@ -18,7 +18,6 @@ pub(crate) mod shortcut;
 pub(crate) mod tree;
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests;
 
 use nalgebra::Point2;

@@ -7,18 +7,14 @@ use nalgebra::Point2;
 
 use zenav_space::LineOfSight;
 
+use crate::path::length;
+
 /// Precision of pulled corners, cells.
 const PRECISION: f64 = 1.0 / 128.0;
 /// A round that gains less than this share of the length is the last one.
 const LEAST_GAIN: f64 = 1e-5;
 /// Largest number of rounds of string pulling.
 const ROUNDS: usize = 64;
-
-/// Length of a path, cells.
-#[must_use]
-pub fn length(path: &[Point2<f64>]) -> f64 {
-    path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum()
-}
 
 /// Removes corners, from the front and from the back: from each kept corner the path goes to the farthest corner in sight that a search
 /// with doubling steps finds. Ends soon after `stops` returns true.

@@ -22,14 +22,10 @@ fn budget(samples: u64) -> Budget<'static> {
     }
 }
 
-fn center(cell: Cell) -> Point2<f64> {
-    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
-}
-
 fn query(start: Cell, goal: Cell) -> Query {
     Query {
-        start: center(start),
-        goal: center(goal),
+        start: start.center(),
+        goal: goal.center(),
         seed: 7,
     }
 }
@@ -223,7 +219,7 @@ fn ends_that_cannot_be_are_told_apart() {
     for planner in PLANNERS {
         let result = |free: &BitGrid, query: Query| ask(free, planner, &query, budget(SAMPLES)).result;
         let stay = result(&free, query(a, a)).unwrap();
-        assert_eq!((stay.corners, stay.length), (vec![center(a)], 0.0));
+        assert_eq!((stay.corners, stay.length), (vec![a.center()], 0.0));
         assert_eq!(
             result(&one, query(Cell::new(0, 0), Cell::new(0, 0))).unwrap().length,
             0.0

@@ -4,7 +4,6 @@
 //! obstacle would be nearest to everything behind it and see none of it.
 
 use nalgebra::Point2;
-use zenav_protocol::grid::Cell;
 
 use super::frontier::{Exit, Frontier};
 use super::nearest::Nearest;
@@ -33,8 +32,7 @@ impl<S: LineOfSight> SearchSpace<'_, S> {
     }
 
     fn center(&self, node: u32) -> Point2<f64> {
-        let cell: Cell = self.graph.cell(node);
-        Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
+        self.graph.cell(node).center()
     }
 }
 

@@ -19,6 +19,7 @@ use std::collections::BinaryHeap;
 use nalgebra::{Point2, Vector2};
 use rustc_hash::FxHashMap;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::polygon::cross;
 
 use cost_to_go::{CostToGo, UNIT};
 use footprint_masks::{FootprintMasks, MARGIN, STEPS, yaw_of};
@@ -477,8 +478,7 @@ fn trace(frontier: &Frontier<'_>, starts: &[Start], last: Node, end: Point2<f64>
         }
         if let [.., a, b] = corners[..] {
             let (before, after) = (b - a, point - b);
-            let across = before.x * after.y - before.y * after.x;
-            if across.abs() < 1e-9 && before.dot(&after) > 0.0 && flags.last() == Some(&backwards) {
+            if cross(before, after).abs() < 1e-9 && before.dot(&after) > 0.0 && flags.last() == Some(&backwards) {
                 corners.pop();
                 flags.pop();
             }

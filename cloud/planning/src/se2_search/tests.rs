@@ -1,8 +1,7 @@
 //! Tests of paths for robots that are longer than wide.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
 use proptest::prelude::*;
-use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::robot::Footprint;
 
 use super::*;
@@ -11,8 +10,7 @@ use zenav_space::UnknownPolicy;
 
 /// 0.8 m long, 0.3 m wide; the base is off the middle.
 fn long() -> Footprint {
-    let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)];
-    Footprint::Polygon(outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect())
+    zenav_fixtures::footprint(&[(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)])
 }
 
 /// A room of 6 m by 4 m with 5 cm cells; `is_wall` gives the walls (m).
@@ -89,26 +87,15 @@ fn a_robot_backs_out_of_a_lane_in_which_it_cannot_turn_and_nowhere_else() {
 
 #[test]
 fn coarse_cells_leave_places_between_their_centres() {
-    let spec = GridSpec {
-        origin: Point2::origin(),
-        resolution: 0.2,
-        width: 30,
-        height: 20,
-    };
-    let mut grid = Grid::filled(spec, Occupancy::FREE);
-    for y in 0..20 {
-        // Two cells: the only place to go through is the border between them.
-        if y != 9 && y != 10 {
-            grid[Cell::new(15, y)] = Occupancy::OCCUPIED;
-        }
-    }
+    // Two cells: the only place to go through is the border between them.
+    let wall: Vec<_> = (0..9).chain(11..20).map(|y| (15, y)).collect();
+    let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(30, 20, 0.2), &wall);
     assert!(path(&grid, Pose2::new(1.0, 1.0, 0.0), (5.0, 3.0), false).is_ok());
 }
 
 #[test]
 fn beside_a_wall_the_path_ends_where_the_robot_comes_to_at_an_angle() {
-    let outline = [(-0.21, -0.165), (0.21, -0.165), (0.21, 0.165), (-0.21, 0.165)];
-    let outline = Footprint::Polygon(outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect());
+    let outline = zenav_fixtures::footprint(&[(-0.21, -0.165), (0.21, -0.165), (0.21, 0.165), (-0.21, 0.165)]);
     let grid = zenav_fixtures::walled_room(zenav_fixtures::spec(240, 160, 0.025), |_| false);
     let space = ConfigurationSpace::new(&grid, &outline, UnknownPolicy::Blocked, 0.0);
     let ask = |tolerance: f64| {

@@ -238,8 +238,8 @@ fn is_taken(query: &SpaceTimeQuery<'_>, settings: &SpaceTimeSettings, place: Poi
 /// A node of the search: column, row, and time slice.
 type Node = (i32, i32, u32);
 
-/// How a node was reached.
-#[derive(Clone, Copy, Debug)]
+/// How a node was reached; by default, at once.
+#[derive(Clone, Copy, Debug, Default)]
 struct Reached {
     from: Option<Node>,
     /// Ticks from the start, and how many of them were in the way of another robot.
@@ -300,15 +300,7 @@ pub fn search(
     let mut reached: FxHashMap<Node, Reached> = FxHashMap::default();
     let mut open = BinaryHeap::new();
     let start: Node = (0, 0, 0);
-    reached.insert(
-        start,
-        Reached {
-            from: None,
-            ticks: 0,
-            taken: 0,
-            cost: 0,
-        },
-    );
+    reached.insert(start, Reached::default());
     open.push((Reverse(to_go.at((0, 0))?), 0_u32, start));
     let mut expanded: u64 = 0;
     while let Some((_, cost, node)) = open.pop() {

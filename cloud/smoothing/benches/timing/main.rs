@@ -17,7 +17,7 @@ use std::hint::black_box;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_fixtures::thread_time;
+use zenav_fixtures::{Pair, ThreadTime, on_thread_time};
 use zenav_smoothing::{GeometricPath, Limits, PathPoint, TimeLaw, fastest, jerk_limited};
 
 /// Jerk limit, m/s³.
@@ -44,7 +44,7 @@ fn path(samples: usize, step: f64) -> GeometricPath {
     GeometricPath::chain(PathPoint::default(), &links).unwrap()
 }
 
-fn laws(criterion: &mut Criterion) {
+fn laws(criterion: &mut Criterion<ThreadTime>) {
     let limits = Limits::of(&zenav_fixtures::robot("tiago"));
     for (samples, step) in [(200, 0.05), (1000, 0.02)] {
         let path = path(samples, step);
@@ -64,15 +64,15 @@ fn laws(criterion: &mut Criterion) {
         group.sample_size(20);
         let mut bench = |name: &str, law: &dyn Fn()| {
             group.bench_function(BenchmarkId::new(name, samples), |bencher| {
-                bencher.iter_custom(|times| {
-                    let start = thread_time();
-                    for _ in 0..times {
-                        law();
-                    }
-                    thread_time() - start
-                });
+                bencher.iter(law);
             });
         };
+        Pair::new(
+            format!("time law/sweep/{samples}"),
+            "linear program by Clarabel",
+            format!("time law/linear program/{samples}"),
+        )
+        .print();
         bench("sweep", &|| drop(black_box(fastest(&path, &limits, 0.0))));
         bench("linear program", &|| drop(black_box(lp::fastest(&path, &limits))));
         bench("limited jerk, all passes", &|| {
@@ -82,5 +82,9 @@ fn laws(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, laws);
+criterion_group! {
+    name = benches;
+    config = on_thread_time();
+    targets = laws
+}
 criterion_main!(benches);

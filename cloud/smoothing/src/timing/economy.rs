@@ -81,7 +81,6 @@ impl Found {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
     use zenav_protocol::geometry::{Pose2, Twist2};

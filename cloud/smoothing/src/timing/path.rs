@@ -9,6 +9,7 @@
 //! Strang and Fix, "An Analysis of the Finite Element Method", 1973 (the projection).
 
 use nalgebra::{Matrix3, Point2, Vector3};
+use zenav_protocol::geometry::Pose2;
 
 /// A sample of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -23,6 +24,21 @@ pub struct PathPoint {
     pub yaw: f64,
     /// Curvature, 1/m, positive to the left.
     pub k: f64,
+}
+
+impl PathPoint {
+    /// Its position, map frame, m.
+    #[must_use]
+    pub fn position(&self) -> Point2<f64> {
+        Point2::new(self.x, self.y)
+    }
+
+    /// Its pose, map frame; its heading is not wrapped either.
+    #[must_use]
+    pub fn pose(&self) -> Pose2 {
+        let Self { x, y, yaw, .. } = *self;
+        Pose2 { x, y, yaw }
+    }
 }
 
 /// Speed limit at a place of the map, m/s; `None` if only the robot's own limit applies.
@@ -181,7 +197,7 @@ impl GeometricPath {
         let limits = self
             .points
             .iter()
-            .map(|p| speed_limit(Point2::new(p.x, p.y)).map_or(f64::INFINITY, |limit| limit.max(SLOWEST)));
+            .map(|p| speed_limit(p.position()).map_or(f64::INFINITY, |limit| limit.max(SLOWEST)));
         let limits: Vec<f64> = limits.collect();
         self.speed_limits = if limits.iter().all(|limit| limit.is_infinite()) {
             Vec::new()
@@ -362,7 +378,6 @@ fn invert(normal: &Matrix3<f64>) -> Option<Matrix3<f64>> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use proptest::prelude::*;

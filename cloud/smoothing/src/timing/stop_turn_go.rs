@@ -123,7 +123,6 @@ pub(crate) fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::super::UNRESTRICTED;
     use super::*;

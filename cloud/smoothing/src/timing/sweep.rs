@@ -304,7 +304,6 @@ fn greater(a: f64, b: f64) -> f64 {
 const LEAST: f64 = 1e-9;
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use nalgebra::Point2;

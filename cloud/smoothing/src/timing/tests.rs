@@ -1,5 +1,4 @@
 //! Tests of trajectories in time, by sampling them at a millisecond and by integrating them.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
 use nalgebra::Point2;
 use proptest::prelude::*;

@@ -453,13 +453,8 @@ impl Stretch {
             Self::Follow { path, law } => {
                 let Progress { index, distance, v, a } = law.at(t);
                 let point = path.between(index, distance);
-                let pose = Pose2 {
-                    x: point.x,
-                    y: point.y,
-                    yaw: point.yaw,
-                };
                 let alpha = point.k * a + path.slope(index) * v * v;
-                State::new(t, pose, Twist2::new(v, point.k * v), a, alpha)
+                State::new(t, point.pose(), Twist2::new(v, point.k * v), a, alpha)
             }
         }
     }

@@ -212,7 +212,6 @@ impl<L: Level> Tiled<L> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Point2;
     use proptest::prelude::*;
 
     use super::exact::squared_distances;
@@ -238,12 +237,7 @@ mod tests {
     }
 
     fn spec(width: u32, height: u32) -> GridSpec {
-        GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.1,
-            width,
-            height,
-        }
+        zenav_fixtures::spec(width, height, 0.1)
     }
 
     proptest! {

@@ -520,7 +520,7 @@ async fn a_service_that_took_over_has_the_last_leader_s_folder_once_its_map_is_s
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn slam_s_session_since_a_takeover_goes_before_no_copy_of_the_map_that_was_taken_over() {
+async fn slam_s_session_since_a_takeover_has_the_map_that_was_taken_over() {
     let (mut stage, second, _, taken_over) = succeeded(PoseSource::Slam).await;
     let folder = stage.folder(1);
     let is_newest = || storage::is_of_last_leader(ROBOT, Some(&folder));
@@ -528,21 +528,31 @@ async fn slam_s_session_since_a_takeover_goes_before_no_copy_of_the_map_that_was
     let before = stage.map(|_| folder.join("slam.session").exists()).await;
     assert_eq!(before.info.map.id, taken_over.info.map.id);
     stage.change_map(MapAction::Save, None).await;
-    assert!(!is_newest(), "only what was drawn since the takeover is stored");
+    assert!(is_newest() && folder.join("slam.base").exists());
 
-    // One that shares the folder takes over the whole map, and sets that session aside.
+    // A copy in the same folder goes on with that session, and so does a service that is started alone.
     let third = stage.copy(1).await;
     second.kill().await;
-    let after = stage.map_after(&before).await;
-    assert!(kept(&before, &after) > 0.95, "{}", kept(&before, &after));
-    stage.map(|_| folder.join("slam.session.before").exists()).await;
-    stage.change_map(MapAction::Save, None).await;
-    assert!(!is_newest());
+    let after = stage
+        .map(|map| map.info.map.id != before.info.map.id && has_cells(map))
+        .await;
+    assert!(kept(&before, &after) > 0.9, "{}", kept(&before, &after));
+    third.kill().await;
+    let fourth = stage.start(1).await;
+    let alone = stage
+        .map(|map| map.info.map.id != after.info.map.id && has_cells(map))
+        .await;
+    assert!(kept(&before, &alone) > 0.9, "{}", kept(&before, &alone));
+    assert!(
+        !folder.join("slam.session.before").exists(),
+        "it is resumed, and not set aside"
+    );
 
-    // A map of its own is whole.
+    // A map of its own needs no other.
     stage.change_map(MapAction::Reset, None).await;
-    stage.map(|_| is_newest()).await;
-    stage.end([third]).await;
+    stage.map(|_| folder.join("slam.session").exists()).await;
+    assert!(!folder.join("slam.base").exists());
+    stage.end([fourth]).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -225,7 +225,7 @@ impl<'a> Beginning<'a> {
         Ok((core, frame))
     }
 
-    /// Goes on in a map without a session of SLAM: in an inherited one, where the robot is located first.
+    /// Goes on in a map without a session of SLAM, which begins where the robot is localised in it.
     pub(super) fn start(&self, mapper: Mapper) -> (MappingCore, MapFrame) {
         let frame = MapFrame {
             map: MapRef {
@@ -234,15 +234,16 @@ impl<'a> Beginning<'a> {
             },
             ..MapFrame::default()
         };
+        let has_map = !mapper.info().spec.is_empty();
         let mut core = MappingCore::new(mapper, &self.config.poses);
-        if self.inherited.is_some() {
+        if has_map {
             core.locate_first();
-            if self.config.poses.source == PoseSource::Slam {
-                tracing::warn!(
-                    robot = self.config.robot,
-                    "no session of SLAM here has the whole map that was followed: a new one begins where the robot is localised in that map"
-                );
-            }
+        }
+        if self.inherited.is_some() && self.config.poses.source == PoseSource::Slam {
+            tracing::warn!(
+                robot = self.config.robot,
+                "no session of SLAM here has the whole map that was followed: a new one begins where the robot is localised in that map"
+            );
         }
         (core, frame)
     }

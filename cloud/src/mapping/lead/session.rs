@@ -84,12 +84,9 @@ impl Leadership {
             if !is_own {
                 make_room(&robot, &folder)?;
             }
-            let (frame, change, is_whole) = (kept.head.frame, kept.change, kept.is_whole);
+            let (frame, change) = (kept.head.frame, kept.change);
             let on_disk = slam_session::write(&folder, kept)?;
-            // A session without the map that was taken over must not go before copies that hold it.
-            if is_whole {
-                storage::note_leadership(&robot, Some(&folder), term);
-            }
+            storage::note_leadership(&robot, Some(&folder), term);
             Ok(Written { frame, change, on_disk })
         }));
         if !is_missing && !anyway {

@@ -105,6 +105,7 @@ impl Leadership {
         );
         self.core.load(map, &grid, record.trajectory, record.scans);
         self.core.mapper.restore_touched(&record.touched);
+        self.core.locate_first();
         if request.live {
             self.core.mapper.resume();
         }

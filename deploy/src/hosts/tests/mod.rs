@@ -1,7 +1,5 @@
 //! Tests of deployments of many hosts: rendering, refusals, and detection of missing parts.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -53,6 +51,7 @@ fn one_target_s_files_are_a_part_of_all() {
         (Target::Systemd, "systemd/"),
         (Target::Compose, "compose.yaml"),
         (Target::Kubernetes, "kubernetes/"),
+        (Target::Zenoh, "zenoh/"),
     ] {
         let files = of(target);
         assert!(files.len() > 1, "{target:?}");

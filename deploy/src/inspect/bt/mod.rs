@@ -24,7 +24,6 @@ use crate::output::Format;
     after_help = "Examples:\n  zenav bt validate patrol.xml\n  zenav bt show navigate\n  zenav bt watch\n  zenav bt nodes --xml > nodes.xml    Groot2's palette"
 )]
 pub struct BtArgs {
-    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -120,19 +119,11 @@ impl Source {
                 text: std::fs::read(path)?,
             });
         }
-        match missions::shipped(file) {
-            Some(text) => Ok(Self {
-                name: format!("{file}.xml"),
-                text: text.as_bytes().to_vec(),
-            }),
-            None => {
-                let names: Vec<&str> = missions::SHIPPED.iter().map(|(name, _)| *name).collect();
-                Err(Failure::not_found(format!(
-                    "no tree `{file}`: expected a file or one of {}",
-                    names.join(", ")
-                )))
-            }
-        }
+        let text = missions::shipped(file).ok_or_else(|| files::unknown("tree", file, "", missions::SHIPPED))?;
+        Ok(Self {
+            name: format!("{file}.xml"),
+            text: text.as_bytes().to_vec(),
+        })
     }
 }
 
@@ -164,7 +155,6 @@ fn bad_tree(errors: &TreeErrors) -> Failure {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use crate::exit_code;
 

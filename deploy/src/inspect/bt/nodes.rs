@@ -44,11 +44,7 @@ fn table(nodes: &[&NodeSpec]) -> String {
         };
         let _ = writeln!(text, "{} ({}){doc}", node.id, node.category.as_str());
         for port in &node.ports {
-            let default = port
-                .default
-                .as_ref()
-                .map(|value| format!(" = {value}"))
-                .unwrap_or_default();
+            let default = output::piece(port.default.as_ref(), |value| format!(" = {value}"));
             let must = if port.required { ", required" } else { "" };
             let _ = writeln!(
                 text,
@@ -98,7 +94,6 @@ fn model(specs: &[&NodeSpec]) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -64,7 +64,6 @@ pub(super) fn show(file: &str, id: Option<&str>, out: Option<&Path>, format: For
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_mission::trees;
 

@@ -12,9 +12,6 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
 
-/// Largest edit distance between an unknown leaf and the known one that is suggested for it.
-const SLIPS: usize = 3;
-
 pub(super) fn simulate(file: &str, path: Option<&Path>, id: Option<&str>, format: Format) -> Outcome {
     let script: Script = match path {
         Some(path) => serde_json::from_str(&files::text(path)?).map_err(Failure::usage_at(path))?,
@@ -35,8 +32,7 @@ pub(super) fn simulate(file: &str, path: Option<&Path>, id: Option<&str>, format
     output::value(format, &outcome, |outcome| {
         let counts = outcome.counts.iter();
         let rows = counts.map(|(leaf, starts)| [leaf.clone(), starts.to_string()]);
-        let error = outcome.error.as_ref().map(|error| format!(": {error}"));
-        let error = error.unwrap_or_default();
+        let error = output::piece(outcome.error.as_ref(), |error| format!(": {error}"));
         let late = if outcome.timed_out { ", time ran out" } else { "" };
         format!(
             "{}{error} after {}, {} ms{late}\n\n{}",
@@ -67,15 +63,14 @@ fn check_leaves(tree: &Tree<Simulation>, script: &Script) -> Result<(), String> 
         return Ok(());
     };
     let known = || known.iter().map(String::as_str);
-    let perhaps = match output::perhaps(unknown, known(), SLIPS) {
-        near if near.is_empty() => format!(": expected one of {}", known().collect::<Vec<_>>().join(", ")),
+    let perhaps = match output::perhaps(unknown, known()) {
+        near if near.is_empty() => format!(": expected one of {}", output::listed(known())),
         near => near,
     };
     Err(format!("the tree has no leaf `{unknown}`{perhaps}"))
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 

@@ -48,15 +48,10 @@ impl Validated {
 
     fn text(&self) -> String {
         if self.valid {
-            let trees: Vec<String> = self
-                .trees
-                .iter()
-                .map(|(id, nodes)| format!("{id} ({})", output::counted(*nodes, "node")))
-                .collect();
-            let trees = if trees.is_empty() {
-                "no tree in it".to_owned()
-            } else {
-                trees.join(", ")
+            let tree = |(id, nodes): (&String, &u64)| format!("{id} ({})", output::counted(*nodes, "node"));
+            let trees = match self.trees.is_empty() {
+                true => "no tree in it".to_owned(),
+                false => output::listed(self.trees.iter().map(tree)),
             };
             let warnings: String = self.warnings.iter().map(|w| format!("\nwarning: {w}")).collect();
             return format!("{}: valid: {trees}{warnings}", self.file);
@@ -84,7 +79,6 @@ pub(super) fn validate(file: &str, format: Format) -> Outcome {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
 

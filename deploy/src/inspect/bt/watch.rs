@@ -1,6 +1,5 @@
 //! `zenav bt watch`: draws the tree that a mission runs, with the status of every node; after the goal's end, with the results.
 
-use std::collections::BTreeMap;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
@@ -9,12 +8,13 @@ use zenav_protocol::messages::{GoalState, MissionStatus, NodeStatus};
 use zenav_protocol::topics;
 
 use crate::connect::{self, RobotArgs};
+use crate::drawing::terminal;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::freshness::{Ages, Heard, OLD, RouterLink, dimmed, is_old};
 use crate::inspect::diagnosis;
 use crate::output::{self, Format};
-use crate::record::{node_status, status_at_end};
+use crate::record::{node_status, status_at_end, with_depths};
 
 /// Period at which the ages are drawn anew.
 const LOOK: Duration = Duration::from_millis(250);
@@ -75,13 +75,10 @@ async fn first(
     match received {
         Ok(Some(received)) => Ok(Some(received.message)),
         Ok(None) => Err(Failure::closed()),
-        Err(_) => Err(Failure::new(
-            exit_code::TIMEOUT,
-            format!(
-                "no word from {} in time: does a mission run?",
-                topics::MISSION.key(&[robot])
-            ),
-        )),
+        Err(_) => Err(Failure::timeout(format!(
+            "no word from {} in time: does a mission run?",
+            topics::MISSION.key(&[robot])
+        ))),
     }
 }
 
@@ -103,12 +100,10 @@ impl Paper {
     };
 
     fn terminal() -> Self {
-        let size = crossterm::terminal::size().ok();
-        // A window of size zero is one whose size is unknown.
-        let size = size.filter(|(columns, rows)| *columns > 0 && *rows > 3);
+        let size = terminal::size().filter(|(_, rows)| *rows > 3);
         Self {
-            colors: std::env::var_os("NO_COLOR").is_none(),
-            size: size.map(|(columns, rows)| (usize::from(rows), usize::from(columns))),
+            colors: terminal::has_colors(),
+            size: size.map(|(columns, rows)| (rows, columns)),
             has_ages: true,
         }
     }
@@ -292,8 +287,8 @@ impl Watched {
             Some(LastTree { name, goal_id, end, .. }) => {
                 let goal = match end {
                     Some(goal) => {
-                        let reason = goal.reason.as_ref().map(|reason| format!(": {reason}"));
-                        format!("{goal_id} {:?}{}", goal.state, reason.unwrap_or_default())
+                        let reason = output::piece(goal.reason.as_ref(), |reason| format!(": {reason}"));
+                        format!("{goal_id} {:?}{reason}", goal.state)
                     }
                     None if self.status.nodes.is_empty() => format!("{goal_id} has ended"),
                     None => goal_id.clone(),
@@ -309,15 +304,8 @@ impl Watched {
         let shown = paper.size.map_or(usize::MAX, |(rows, _)| rows.saturating_sub(4));
         let least = shown_from(nodes, shown);
         let mut lines = Vec::new();
-        let mut depths = BTreeMap::new();
         let mut left_out = 0;
-        for (at, node) in nodes.iter().enumerate() {
-            // Document order: a parent comes before its children.
-            let depth = node
-                .parent
-                .and_then(|parent| depths.get(&parent))
-                .map_or(0, |depth: &usize| depth + 1);
-            depths.insert(node.uid, depth);
+        for (at, (node, depth)) in with_depths(nodes).enumerate() {
             if (weight(node), at) <= least {
                 lines.push(row(node, depth, paper));
             } else {
@@ -360,16 +348,10 @@ fn row(node: &NodeStatus, depth: usize, paper: Paper) -> String {
         _ => ('·', 90),
     };
     let color = if node.status == "IDLE" { 90 } else { color };
-    let id = if node.id == node.name {
-        String::new()
-    } else {
-        format!(" [{}]", node.id)
-    };
-    let feedback = if node.feedback.is_empty() {
-        String::new()
-    } else {
-        format!("  {}", node.feedback)
-    };
+    let id = output::piece(Some(&node.id).filter(|id| **id != node.name), |id| format!(" [{id}]"));
+    let feedback = output::piece(Some(&node.feedback).filter(|text| !text.is_empty()), |text| {
+        format!("  {text}")
+    });
     let indent = "  ".repeat(depth.min(40));
     let text = cut(&format!("{indent}{sign} {}{id}{feedback}", node.name), paper);
     if paper.colors {
@@ -387,8 +369,9 @@ fn cut(line: &str, paper: Paper) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
+    use std::collections::BTreeMap;
+
     use zenav_protocol::messages::{GoalFeedback, GoalPhase};
     use zenav_protocol::time::Stamp;
 

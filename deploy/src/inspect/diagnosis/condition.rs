@@ -7,7 +7,7 @@ use zenav_protocol::messages::{EdgeState, Faults, GuardZone, Mode};
 
 use super::Heard;
 use crate::inspect::check::Check;
-use crate::output::{counted, hundredths};
+use crate::output::{counted, hundredths, piece};
 
 /// Longest age of a robot's newest message, if its link carries all of them.
 const FRESH: Duration = Duration::from_millis(500);
@@ -106,7 +106,7 @@ pub(super) fn mode(name: &str, state: &EdgeState, reason: Option<&str>) -> Check
     if state.mode == Mode::Stopped {
         Check::warn(name, "mode", seen, "stopped by an operator: `zenav resume` releases it")
     } else if state.guard == GuardZone::Stop {
-        let why = reason.map_or_else(String::new, |reason| format!(": {reason}"));
+        let why = piece(reason, |reason| format!(": {reason}"));
         let advice = match reason {
             Some(SCAN_TOO_OLD | NO_SCAN) => "do all its lidars send, at the rates of the robot's file?",
             _ => "if an obstacle is too near: remove it, or drive away with `zenav teleop`",
@@ -123,7 +123,6 @@ pub(super) fn mode(name: &str, state: &EdgeState, reason: Option<&str>) -> Check
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::super::judge;
     use super::super::testing::{TIME, fresh, state, well, worst};

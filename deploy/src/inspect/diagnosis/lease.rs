@@ -93,7 +93,6 @@ pub(in super::super) fn standbys(mission: &MissionStatus) -> String {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::SCHEMA_VERSION;
     use zenav_protocol::messages::Mode;

@@ -7,9 +7,11 @@
 //! | `condition` | do its messages arrive, and does it drive undisturbed? |
 //! | `lease` | who may command it? |
 //! | `place` | does it know its place in the map? |
+//! | `hosts` | do the machines fit together? |
 
 mod condition;
 mod deployment;
+pub(super) mod hosts;
 mod lease;
 mod parts;
 mod place;
@@ -117,7 +119,6 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Twist2;
 

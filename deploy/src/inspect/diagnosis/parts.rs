@@ -7,6 +7,7 @@ use zenav_protocol::messages::InfoReply;
 
 use super::Robot;
 use crate::inspect::check::Check;
+use crate::output::listed;
 
 pub(super) fn alive(robot: &Robot, component: &'static str, start: &str) -> Check {
     if robot.alive.contains(component) {
@@ -24,14 +25,11 @@ pub(super) fn namesakes(robot: &Robot) -> Option<Check> {
         .map(|process| (&process.host, process.pid, process.instance))
         .collect();
     (told.len() > 1).then(|| {
-        let names: Vec<String> = told
-            .iter()
-            .map(|(host, pid, _)| format!("{host} (pid {pid})"))
-            .collect();
+        let names = listed(told.iter().map(|(host, pid, _)| format!("{host} (pid {pid})")));
         Check::fail(
             &robot.name,
             "edge",
-            format!("{} edges have this name: {}", told.len(), names.join(", ")),
+            format!("{} edges have this name: {names}", told.len()),
             "stop all but one, or give each its own name; the other checks of this robot mix them up",
         )
     })
@@ -61,7 +59,6 @@ pub(super) fn stores_nothing(name: &str, info: &InfoReply) -> Option<Check> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::messages::ProcessInfo;
 

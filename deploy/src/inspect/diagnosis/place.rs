@@ -4,6 +4,7 @@ use zenav_protocol::messages::{Health, Localisation, PoseEstimate};
 
 use super::Robot;
 use crate::inspect::check::Check;
+use crate::output::listed;
 
 /// Whether the robot knows its place in the map, as the source of poses judges by its scans.
 pub(super) fn localisation(name: &str, told: &Localisation, has_stored_map: bool) -> Check {
@@ -41,14 +42,13 @@ pub(super) fn localisation(name: &str, told: &Localisation, has_stored_map: bool
              it is corrected, and `zenav pose search` finds it. If the building has changed, map it anew: `zenav map reset`",
         ),
         Health::Ambiguous { hypotheses } => {
-            let places: Vec<String> = hypotheses
+            let places = hypotheses
                 .iter()
-                .map(|at| format!("({:.2}, {:.2}, {:.2} rad)", at.x, at.y, at.yaw))
-                .collect();
+                .map(|at| format!("({:.2}, {:.2}, {:.2} rad)", at.x, at.y, at.yaw));
             Check::fail(
                 name,
                 check,
-                format!("its scan fits {} places: {}", places.len(), places.join(", ")),
+                format!("its scan fits {} places: {}", hypotheses.len(), listed(places)),
                 "tell it which one is right: `zenav pose set X Y YAW`; it does not drive meanwhile",
             )
         }
@@ -110,7 +110,6 @@ pub(super) fn map(robot: &Robot) -> Check {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::time::Stamp;

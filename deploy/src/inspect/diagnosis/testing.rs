@@ -1,7 +1,5 @@
 //! Observations of a robot that is well, for tests.
 
-#![allow(clippy::unwrap_used, reason = "tests")]
-
 use std::time::Duration;
 
 use zenav_protocol::geometry::{Pose2, Twist2};

@@ -416,7 +416,6 @@ fn compare(recorded: &OccupancyGrid, made: &OccupancyGrid) -> (u64, u64) {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use std::path::PathBuf;
 
@@ -426,24 +425,7 @@ mod tests {
 
     use super::*;
     use crate::record::format::Kind;
-    use crate::record::writer::{RecordOptions, RecordWriter};
-
-    fn sample<T: Serialize>(key: &str, message: &T, kind: Kind, logged: u64) -> Sample {
-        let encoding = if key.ends_with("map_patch") {
-            Encoding::Cbor
-        } else {
-            Encoding::Json
-        };
-        Sample {
-            key: key.to_owned(),
-            encoding: encoding.mime().to_owned(),
-            kind,
-            bytes: codec::encode(message, encoding).unwrap(),
-            attachment: None,
-            logged,
-            published: None,
-        }
-    }
+    use crate::record::made_up;
 
     fn scan(nth: u64) -> Scan {
         let ranges = (0..180)
@@ -461,7 +443,7 @@ mod tests {
 
     /// A run in which mapping skipped the scans of `unseen`, and knew the footprint from `learnt` on.
     fn record(path: &Path, unseen: &[u64], learnt: u64, changed: Option<u64>) {
-        let mut writer = RecordWriter::create(path, RecordOptions::default(), 1).unwrap();
+        let mut samples = Vec::new();
         let model = zenav_fixtures::robot("tiago");
         let footprint = model.footprint.clone();
         let info = InfoReply {
@@ -481,23 +463,22 @@ mod tests {
             if changed == Some(nth) {
                 message.ranges[90] = 0.5;
             }
-            writer
-                .write(&sample("zenav/r/edge/scan", &message, Kind::Put, logged))
-                .unwrap();
+            samples.push(made_up::sample("zenav/r/edge/scan", &message, logged));
             // Two scans per patch, followed by their description.
             if nth % 2 == 1
                 && let Some(patch) = mapper.take_patch()
             {
-                let patch = sample("zenav/r/cloud/map_patch", &patch, Kind::Put, logged + 10);
-                let described = sample("zenav/r/cloud/map", &mapper.info(), Kind::Put, logged + 20);
-                writer.write(&patch).unwrap();
-                writer.write(&described).unwrap();
+                let bytes = codec::encode(&patch, Encoding::Cbor).unwrap();
+                let key = "zenav/r/cloud/map_patch".to_owned();
+                samples.push(Sample::new(key, Kind::Put, Encoding::Cbor, bytes, logged + 10));
+                samples.push(made_up::sample("zenav/r/cloud/map", &mapper.info(), logged + 20));
             }
         }
-        writer
-            .write(&sample("zenav/r/ask/edge/info", &info, Kind::Reply, 10_000))
-            .unwrap();
-        writer.finish(0).unwrap();
+        samples.push(Sample {
+            kind: Kind::Reply,
+            ..made_up::sample("zenav/r/ask/edge/info", &info, 10_000)
+        });
+        made_up::record(path, samples);
     }
 
     fn verdict(unseen: &[u64], learnt: u64, changed: Option<u64>) -> MapVerdict {
@@ -541,14 +522,10 @@ mod tests {
         let (whole, part) = (folder.path().join("run.mcap"), folder.path().join("part.mcap"));
         record(&whole, &[], 0, None);
         let mut reader = RecordReader::open(&whole).unwrap();
-        let mut writer = RecordWriter::create(&part, RecordOptions::default(), 1).unwrap();
-        while let Some(sample) = reader.next_sample().unwrap() {
-            // Like a recorder that joins late: the patches are retained for it, the scans are not.
-            if sample.logged >= 2_000 || !sample.key.ends_with("scan") {
-                writer.write(&sample).unwrap();
-            }
-        }
-        writer.finish(0).unwrap();
+        let all = std::iter::from_fn(|| reader.next_sample().unwrap());
+        // Like a recorder that joins late: the patches are retained for it, the scans are not.
+        let heard = all.filter(|sample| sample.logged >= 2_000 || !sample.key.ends_with("scan"));
+        made_up::record(&part, heard);
         let map = &recompute(&part, &mut RunSettings::default()).unwrap()[0];
         assert!(!map.identical && map.same_patches == 0, "{map:?}");
         let why = map.difference.as_ref().unwrap();

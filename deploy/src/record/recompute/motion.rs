@@ -366,11 +366,9 @@ fn difference(recorded: &Result<MotionReply, Refusal>, made: &Result<MotionReply
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use nalgebra::Point2;
     use zenav_protocol::geometry::{Pose2, Twist2};
-    use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::grid::Occupancy;
     use zenav_protocol::messages::{
         DrivingProfile, MapInfo, MotionRequest, PlanOutcome, TILE, Tile, TrajectoryRequest,
     };
@@ -378,28 +376,16 @@ mod tests {
 
     use super::*;
     use crate::record::format::Kind;
-    use crate::record::writer::{RecordOptions, RecordWriter};
+    use crate::record::made_up;
 
     fn map(revision: u64) -> MapRef {
-        MapRef {
-            id: "hall".to_owned(),
-            revision,
-            frame: 0,
-        }
+        MapRef::new("hall", revision)
     }
 
     /// A hall of 6.4 m by 3.2 m with a wall across it and a door in the wall, at revision 3.
     fn whole() -> MapReply {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.05,
-            width: 2 * TILE,
-            height: TILE,
-        };
-        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-        for y in 0..40 {
-            grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
-        }
+        let spec = zenav_fixtures::spec(2 * TILE, TILE, 0.05);
+        let wall: Vec<_> = (0..40).map(|y| (60, y)).collect();
         MapReply {
             info: MapInfo {
                 stamp: Stamp::ZERO,
@@ -411,7 +397,7 @@ mod tests {
                 scans: 0,
                 stored: false,
             },
-            values: grid.values().to_vec(),
+            values: zenav_fixtures::map_with_occupied(spec, &wall).into_values(),
             trajectory: Vec::new(),
             stored: Vec::new(),
         }
@@ -476,31 +462,18 @@ mod tests {
     fn verdict(records: &[MotionRecord], has_map: bool) -> MotionVerdict {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("run.mcap");
-        let mut writer = RecordWriter::create(&file, RecordOptions::default(), 1).unwrap();
-        let sample = |key: String, kind, encoding: Encoding, bytes| Sample {
-            key,
-            encoding: encoding.mime().to_owned(),
-            kind,
-            bytes,
-            attachment: None,
-            logged: 10,
-            published: None,
-        };
+        let as_cbor = |key, kind, bytes| Sample::new(key, kind, Encoding::Cbor, bytes, 10);
         // The recorder gets the patch later than the worker did.
-        for record in records {
-            let bytes = codec::encode(record, Encoding::Json).unwrap();
-            let sample = sample(topics::MOTION.key(&["r"]), Kind::Put, Encoding::Json, bytes);
-            writer.write(&sample).unwrap();
-        }
-        if has_map {
+        let answers = records
+            .iter()
+            .map(|record| made_up::sample(&topics::MOTION.key(&["r"]), record, 10));
+        let map = has_map.then(|| {
             let bytes = codec::encode(&whole(), Encoding::Cbor).unwrap();
-            let sample = sample(topics::MAP.key(&["r"]), Kind::Reply, Encoding::Cbor, bytes);
-            writer.write(&sample).unwrap();
-        }
+            as_cbor(topics::MAP.key(&["r"]), Kind::Reply, bytes)
+        });
         let bytes = codec::encode(&patch(), Encoding::Cbor).unwrap();
-        let sample = sample(topics::MAP_PATCH.key(&["r"]), Kind::Put, Encoding::Cbor, bytes);
-        writer.write(&sample).unwrap();
-        writer.finish(0).unwrap();
+        let patch = as_cbor(topics::MAP_PATCH.key(&["r"]), Kind::Put, bytes);
+        made_up::record(&file, answers.chain(map).chain([patch]));
         let mut verdicts = recompute(&file, &mut RunSettings::default()).unwrap();
         assert_eq!(verdicts.len(), 1);
         verdicts.remove(0)

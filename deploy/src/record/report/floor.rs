@@ -161,7 +161,6 @@ fn places<'g>(states: impl Iterator<Item = &'g GoalState>) -> Vec<(String, Point
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::grid::{Cell, Occupancy};

@@ -2,11 +2,14 @@
 
 use std::fmt::Write as _;
 
-use super::super::run::{RobotRun, Run};
+use time::OffsetDateTime;
+use zenav_protocol::messages::GoalPhase;
+
+use super::super::run::{GoalRun, KeyCount, RobotRun, Run};
 use super::{chart, floor};
 use crate::failure::Failure;
 use crate::goal::target;
-use crate::output::{counted, escape};
+use crate::output::{counted, escape, piece};
 use crate::report::Percentiles;
 
 /// Most events on the page.
@@ -125,16 +128,13 @@ fn section(name: &str, robot: &RobotRun, page: &mut String) -> Result<(), Failur
 
 fn figures(robot: &RobotRun, page: &mut String) {
     let metres = |value: Option<f64>| value.map_or_else(|| "&ndash;".to_owned(), |value| format!("{value:.2} m"));
-    let mean = if robot.secs > 0.0 {
-        robot.length / robot.secs
-    } else {
-        0.0
+    let mean = robot.mean_speed().unwrap_or(0.0);
+    let refused = match robot.rejected {
+        0 => String::new(),
+        count => format!(" ({count} refused)"),
     };
-    let ended = robot.goals.values().filter(|goal| goal.state.state.is_end());
-    let reached = ended
-        .clone()
-        .filter(|goal| goal.state.state == zenav_protocol::messages::GoalPhase::Succeeded)
-        .count();
+    let is_reached = |goal: &&GoalRun| goal.state.state == GoalPhase::Succeeded;
+    let reached = robot.goals.values().filter(is_reached).count();
     let figures = [
         (format!("{reached} of {}", robot.goals.len()), "goals reached"),
         (format!("{:.1} s", robot.secs), "time"),
@@ -142,18 +142,7 @@ fn figures(robot: &RobotRun, page: &mut String) {
         (format!("{mean:.2} m/s"), "mean speed"),
         (format!("{:.2} m/s", robot.top_speed()), "top speed"),
         (metres(robot.least_clearance()), "least clearance"),
-        (
-            format!(
-                "{}{}",
-                robot.plans,
-                if robot.rejected > 0 {
-                    format!(" ({} refused)", robot.rejected)
-                } else {
-                    String::new()
-                }
-            ),
-            "plans",
-        ),
+        (format!("{}{refused}", robot.plans), "plans"),
         (robot.bumps.to_string(), "bumps"),
     ];
     page.push_str("<div class=\"figures\">");
@@ -167,56 +156,67 @@ fn goals(robot: &RobotRun, page: &mut String) {
     if robot.goals.is_empty() {
         return;
     }
-    page.push_str(
-        "<h3>Goals</h3>\n<div class=\"wide\"><table><tr><th>Goal</th><th>Outcome</th><th class=\"n\">Time, s</th><th class=\"n\">Driven, m</th>\
-         <th class=\"n\">Plans</th><th class=\"n\">Replans</th></tr>\n",
-    );
+    let row = |name: String, phase: GoalPhase, reason: Option<&str>, figures: [String; 4]| {
+        let reason = piece(reason, |reason| format!(": {}", escape(reason)));
+        let outcome = format!("<td class=\"{}\">{}{reason}</td>", class(phase), phase.name());
+        format!("<tr>{name}{outcome}{}</tr>\n", numbers(&figures))
+    };
     let mut goals: Vec<_> = robot.goals.values().collect();
     goals.sort_by(|a, b| a.from.total_cmp(&b.from));
+    let mut rows = String::new();
     for goal in goals {
         let state = &goal.state;
-        let _ = writeln!(
-            page,
-            "<tr><td>{} <span class=\"soft\">{}</span></td><td class=\"{}\">{}{}</td><td class=\"n\">{:.1}</td><td class=\"n\">{:.2}</td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
-            escape(&target(&state.request)),
-            escape(&state.id),
-            class(state.state),
-            state.state.name(),
-            reason(state.reason.as_deref()),
-            goal.to - goal.from,
-            goal.length,
-            state.feedback.plans,
-            state.feedback.replans
+        let (target, id) = (escape(&target(&state.request)), escape(&state.id));
+        rows += &row(
+            format!("<td>{target} <span class=\"soft\">{id}</span></td>"),
+            state.state,
+            state.reason.as_deref(),
+            [
+                format!("{:.1}", goal.to - goal.from),
+                format!("{:.2}", goal.length),
+                state.feedback.plans.to_string(),
+                state.feedback.replans.to_string(),
+            ],
         );
         for leg in &state.legs {
-            let time = leg
-                .ended
-                .map_or_else(String::new, |ended| format!("{:.1}", ended.secs_since(leg.started)));
-            let _ = writeln!(
-                page,
-                "<tr><td class=\"leg\">{}</td><td class=\"{}\">{}{}</td><td class=\"n\">{time}</td><td class=\"n\"></td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
-                escape(&leg.name),
-                class(leg.state),
-                leg.state.name(),
-                reason(leg.reason.as_deref()),
-                leg.plans,
-                leg.replans
+            let time = piece(leg.ended, |ended| format!("{:.1}", ended.secs_since(leg.started)));
+            rows += &row(
+                format!("<td class=\"leg\">{}</td>", escape(&leg.name)),
+                leg.state,
+                leg.reason.as_deref(),
+                [time, String::new(), leg.plans.to_string(), leg.replans.to_string()],
             );
         }
     }
-    page.push_str("</table></div>\n");
+    let table = table(
+        &["Goal", "Outcome"],
+        &["Time, s", "Driven, m", "Plans", "Replans"],
+        &rows,
+    );
+    let _ = writeln!(page, "<h3>Goals</h3>\n{table}");
 }
 
-fn reason(reason: Option<&str>) -> String {
-    reason.map_or_else(String::new, |reason| format!(": {}", escape(reason)))
+/// A table with columns of words, then of numbers.
+fn table(words: &[&str], numbers: &[&str], rows: &str) -> String {
+    let words = words.iter().map(|name| format!("<th>{name}</th>"));
+    let numbers = numbers.iter().map(|name| format!("<th class=\"n\">{name}</th>"));
+    let header: String = words.chain(numbers).collect();
+    format!("<div class=\"wide\"><table><tr>{header}</tr>\n{rows}</table></div>")
 }
 
-const fn class(phase: zenav_protocol::messages::GoalPhase) -> &'static str {
-    use zenav_protocol::messages::GoalPhase::{Aborted, Canceled, Rejected, Succeeded};
+/// Cells of numbers.
+fn numbers(cells: &[String]) -> String {
+    cells
+        .iter()
+        .map(|cell| format!("<td class=\"n\">{cell}</td>"))
+        .collect()
+}
+
+const fn class(phase: GoalPhase) -> &'static str {
     match phase {
-        Succeeded => "good",
-        Aborted | Rejected => "bad",
-        Canceled => "warn",
+        GoalPhase::Succeeded => "good",
+        GoalPhase::Aborted | GoalPhase::Rejected => "bad",
+        GoalPhase::Canceled => "warn",
         _ => "",
     }
 }
@@ -225,23 +225,16 @@ fn stages(robot: &RobotRun, page: &mut String) {
     if robot.stages.is_empty() {
         return;
     }
-    page.push_str(
-        "<h3>Latency of stages, ms</h3>\n<div class=\"wide\"><table><tr><th>Stage</th><th class=\"n\">Median</th><th class=\"n\">p99</th>\
-         <th class=\"n\">Longest</th><th class=\"n\">Samples</th></tr>\n",
-    );
-    for (name, samples) in &robot.stages {
-        let percentiles = Percentiles::of(samples);
+    let row = |(name, samples): (&&str, &Vec<f64>)| {
+        let Percentiles { p50, p99 } = Percentiles::of(samples);
         let longest = samples.iter().copied().fold(0.0, f64::max);
-        let cell = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.1}"));
-        let _ = writeln!(
-            page,
-            "<tr><td>{name}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{longest:.1}</td><td class=\"n\">{}</td></tr>",
-            cell(percentiles.p50),
-            cell(percentiles.p99),
-            samples.len()
-        );
-    }
-    page.push_str("</table></div>\n");
+        let [p50, p99, longest] = [p50, p99, Some(longest)].map(|ms| piece(ms, |ms| format!("{ms:.1}")));
+        let figures = numbers(&[p50, p99, longest, samples.len().to_string()]);
+        format!("<tr><td>{name}</td>{figures}</tr>\n")
+    };
+    let rows: String = robot.stages.iter().map(row).collect();
+    let table = table(&["Stage"], &["Median", "p99", "Longest", "Samples"], &rows);
+    let _ = writeln!(page, "<h3>Latency of stages, ms</h3>\n{table}");
 }
 
 fn events(robot: &RobotRun, page: &mut String) {
@@ -281,51 +274,30 @@ fn events(robot: &RobotRun, page: &mut String) {
 }
 
 fn keys(run: &Run, page: &mut String) {
-    let _ = write!(
-        page,
-        "<h2>Record</h2>\n<details><summary>{} keys</summary><div class=\"wide\"><table><tr><th>Key</th><th class=\"n\">Messages</th><th class=\"n\">Hz</th>\
-         <th class=\"n\">kB</th></tr>\n",
-        run.keys.len()
-    );
-    for (key, count) in &run.keys {
-        let _ = writeln!(
-            page,
-            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.1}</td><td class=\"n\">{:.1}</td></tr>",
-            escape(key),
-            count.messages,
-            count.messages as f64 / run.wall_secs.max(1e-3),
-            count.bytes as f64 * 1e-3
-        );
-    }
-    page.push_str("</table></div></details>\n");
+    let row = |(key, count): (&String, &KeyCount)| {
+        let hz = count.messages as f64 / run.wall_secs.max(1e-3);
+        let figures = numbers(&[
+            count.messages.to_string(),
+            format!("{hz:.1}"),
+            format!("{:.1}", count.bytes as f64 * 1e-3),
+        ]);
+        format!("<tr><td>{}</td>{figures}</tr>\n", escape(key))
+    };
+    let rows: String = run.keys.iter().map(row).collect();
+    let table = table(&["Key"], &["Messages", "Hz", "kB"], &rows);
+    let summary = format!("<summary>{} keys</summary>", run.keys.len());
+    let _ = writeln!(page, "<h2>Record</h2>\n<details>{summary}{table}</details>");
 }
 
-/// Day and time of a UNIX time in ns, such as `2026-03-01 14:05` (civil from days: Howard Hinnant, "chrono-compatible date algorithms").
-/// `None` in the first year: simulated time, which begins at zero.
+/// Day and time of a UNIX time in ns, such as `2026-03-01 14:05`. `None` in the first year: simulated time, which begins at zero.
 fn date(nanos: u64) -> Option<String> {
-    let secs = nanos / 1_000_000_000;
-    if secs < 365 * 86_400 {
-        return None;
-    }
-    let (days, of_day) = ((secs / 86_400) as i64, secs % 86_400);
-    let shifted = days + 719_468;
-    let era = shifted.div_euclid(146_097);
-    let day_of_era = shifted.rem_euclid(146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month + 2) / 5 + 1;
-    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    let year = year_of_era + era * 400 + next;
-    Some(format!(
-        "{year:04}-{month:02}-{day:02} {:02}:{:02}",
-        of_day / 3600,
-        of_day % 3600 / 60
-    ))
+    let time = OffsetDateTime::from_unix_timestamp_nanos(nanos.into()).ok()?;
+    let (year, month, day) = time.to_calendar_date();
+    let (hour, minute, _) = time.to_hms();
+    (year > 1970).then(|| format!("{year:04}-{:02}-{day:02} {hour:02}:{minute:02}", u8::from(month)))
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Pose2;
 

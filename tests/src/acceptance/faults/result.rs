@@ -73,6 +73,25 @@ impl Result {
         self.missed().is_empty()
     }
 
+    /// Adds what was found in another run of the row; its memory counts.
+    pub fn add(&mut self, other: Self) {
+        let secs = |result: &Self| result.secs.iter().fold(0.0, |sum, secs| sum + secs);
+        let (before, more) = (secs(self), secs(&other));
+        if before + more > 0.0 {
+            self.rest = (before * self.rest + more * other.rest) / (before + more);
+        }
+        let (asked, succeeded) = other.missions;
+        self.missions = (self.missions.0 + asked, self.missions.1 + succeeded);
+        self.lost += other.lost;
+        self.collisions += other.collisions;
+        self.flooded += other.flooded;
+        self.invalid.extend(other.invalid);
+        self.resumes.extend(other.resumes);
+        self.secs.extend(other.secs);
+        self.failures.extend(other.failures);
+        self.memory = other.memory;
+    }
+
     /// Median and 95th percentile of the resume times, s.
     #[must_use]
     pub fn resume(&self) -> Option<(f64, f64)> {
@@ -238,6 +257,22 @@ mod tests {
             ..row
         };
         assert!(within.is_good(), "{:?}", within.missed());
+    }
+
+    #[test]
+    fn the_runs_of_a_row_count_together() {
+        let mut found = Result::default();
+        for (rest, succeeded) in [(0.1, 2), (0.4, 1)] {
+            let row = good("kitchen: started in each of 120 orders");
+            found.add(Result {
+                missions: (2, succeeded),
+                rest,
+                ..row
+            });
+        }
+        assert_eq!((found.missions, found.secs.len()), ((4, 3), 4));
+        assert!((found.rest - 0.25).abs() < 1e-9, "{}", found.rest);
+        assert_missed(&found, "3 of 4 missions");
     }
 
     #[test]

@@ -50,11 +50,11 @@ fn own_network() -> bool {
 }
 
 impl Rig {
-    /// Starts the parts of a row, in its order.
+    /// Starts the parts of a row in an order.
     ///
     /// # Errors
     /// When a file cannot be written or the network cannot be impaired.
-    pub fn start(binary: PathBuf, row: &Row) -> Result<Self, String> {
+    pub fn start(binary: PathBuf, row: &Row, order: [PartKind; 5]) -> Result<Self, String> {
         let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
         let mut rig = Self {
             binary,
@@ -76,7 +76,7 @@ impl Rig {
         rig.write_deployment(row).map_err(|error| error.to_string())?;
         rig.impair(row.line)?;
         let copy = row.has_copy.then_some(PartKind::Copy);
-        for part in row.order.into_iter().chain(copy) {
+        for part in order.into_iter().chain(copy) {
             let process = rig.process(part);
             rig.parts.push((part, process));
         }
@@ -126,6 +126,10 @@ impl Rig {
             Line::Rate(kbit) => {
                 rate = format!("{kbit}kbit");
                 arguments.extend(["--rate", &rate]);
+            }
+            Line::RateAndRoundTrip(kbit, millis) => {
+                (rate, delay) = (format!("{kbit}kbit"), format!("{}us", 500 * millis));
+                arguments.extend(["--rate", &rate, "--delay", &delay]);
             }
             Line::Loss(percent) => {
                 // A lost segment holds up later ones for a retransmission; some 50 segments pass in a second.

@@ -63,6 +63,8 @@ pub enum Line {
     Loss(u32),
     /// Rate each way, kbit/s.
     Rate(u32),
+    /// Rate each way, kbit/s, and round trip, ms.
+    RateAndRoundTrip(u32, u32),
 }
 
 /// The fault that is injected repeatedly; durations in seconds.
@@ -106,8 +108,8 @@ pub struct Row {
     pub times: usize,
     /// Least number of missions.
     pub missions: usize,
-    /// Starting order of the parts.
-    pub order: [PartKind; 5],
+    /// Starting orders of the parts: the row runs once in each.
+    pub orders: Vec<[PartKind; 5]>,
     /// Whether a second mapper follows the first one. A fault of the mapper then hits the one that leads.
     pub has_copy: bool,
 }
@@ -126,7 +128,7 @@ impl Row {
             fault: Fault::None,
             times: 0,
             missions: 2,
-            order: PARTS,
+            orders: vec![PARTS],
             has_copy: false,
         }
     }
@@ -134,6 +136,15 @@ impl Row {
     fn line(place: Place, what: &str, line: Line) -> Self {
         Self {
             line,
+            ..Self::new(place, what)
+        }
+    }
+
+    /// One mission for each order in which the parts are started.
+    fn started(place: Place, what: &str, orders: Vec<[PartKind; 5]>) -> Self {
+        Self {
+            orders,
+            missions: 1,
             ..Self::new(place, what)
         }
     }
@@ -193,6 +204,8 @@ pub fn all() -> Vec<Row> {
             rows.push(Row::line(place, &format!("loss {percent} %"), Line::Loss(percent)));
         }
         rows.push(Row::line(place, "256 kbit/s", Line::Rate(256)));
+        let what = "256 kbit/s and round trip 600 ms";
+        rows.push(Row::line(place, what, Line::RateAndRoundTrip(256, 600)));
         for (secs, times) in [(1, 3), (5, 3), (15, 2), (60, 1)] {
             rows.push(Row::fault(place, &format!("cuts of {secs} s"), Fault::Cut(secs), times));
         }
@@ -225,15 +238,16 @@ pub fn all() -> Vec<Row> {
         rows.push(Row::fault(place, "flood for 5 s", Fault::Flood(5), 3));
         rows.push(Row::fault(place, "second robot of the name for 5 s", Fault::Twin(5), 2));
         for (what, order) in orders() {
-            rows.push(Row {
-                order,
-                missions: 1,
-                ..Row::new(place, what)
-            });
+            rows.push(Row::started(place, what, vec![order]));
         }
     }
-    let of_the_link = |row: &&Row| row.line != Line::Good || matches!(row.fault, Fault::Cut(_) | Fault::Freeze(..));
-    let braking: Vec<Row> = rows.iter().filter(of_the_link).cloned().map(Row::braking).collect();
+    rows.push(Row::started(
+        Place::Kitchen,
+        "started in each of 120 orders",
+        every_order(),
+    ));
+    let has_fault = |row: &&Row| row.line != Line::Good || row.fault != Fault::None;
+    let braking: Vec<Row> = rows.iter().filter(has_fault).cloned().map(Row::braking).collect();
     rows.extend(braking);
     rows
 }
@@ -285,8 +299,27 @@ fn orders() -> [(&'static str, [PartKind; 5]); 3] {
     ]
 }
 
+/// All orders of the parts.
+fn every_order() -> Vec<[PartKind; 5]> {
+    fn permute(order: &mut [PartKind; 5], from: usize, found: &mut Vec<[PartKind; 5]>) {
+        if from == order.len() {
+            found.push(*order);
+        }
+        for next in from..order.len() {
+            order.swap(from, next);
+            permute(order, from + 1, found);
+            order.swap(from, next);
+        }
+    }
+    let (mut order, mut found) = (PARTS, Vec::new());
+    permute(&mut order, 0, &mut found);
+    found
+}
+
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     fn selected(only: &str) -> Vec<String> {
@@ -309,19 +342,25 @@ mod tests {
     }
 
     #[test]
+    fn the_parts_start_in_each_order_once() {
+        let orders: BTreeSet<[PartKind; 5]> = every_order().into_iter().collect();
+        assert_eq!((orders.len(), every_order().len()), (120, 120));
+        let is_whole = |order: &[PartKind; 5]| PARTS.iter().all(|part| order.contains(part));
+        assert!(orders.iter().all(is_whole));
+        assert_eq!(selected("each of 120 orders").len(), 1);
+    }
+
+    #[test]
     fn a_name_of_no_row_is_refused_with_all_names() {
         let refusal = select(&all(), "nonsense").unwrap_err();
         assert!(all().iter().all(|row| refusal.contains(&row.name)), "{refusal}");
     }
 
     #[test]
-    fn a_mapper_with_a_copy_is_killed_and_frozen_in_both_worlds() {
-        assert_eq!(selected("mapping killed, with a copy").len(), 2);
-        assert_eq!(
-            selected("mapping frozen for 5 s, with a copy").len(),
-            4,
-            "with both policies"
-        );
+    fn a_mapper_with_a_copy_is_killed_and_frozen_in_both_worlds_with_both_policies() {
+        for fault in ["mapping killed, with a copy", "mapping frozen for 5 s, with a copy"] {
+            assert_eq!(selected(fault).len(), 4);
+        }
         assert!(all().iter().all(|row| row.has_copy == row.name.contains("with a copy")));
     }
 

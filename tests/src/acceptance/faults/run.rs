@@ -52,7 +52,25 @@ struct Running<'a> {
 /// # Errors
 /// When its parts cannot be started or joined.
 pub async fn run(binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<Result, String> {
-    let rig = Rig::start(binary, row)?;
+    let mut found = Result {
+        name: row.name.clone(),
+        ..Result::default()
+    };
+    for order in &row.orders {
+        let mut once = run_in(*order, binary.clone(), row, seed).await?;
+        if row.orders.len() > 1 {
+            for failure in &mut once.failures {
+                *failure = format!("started as {order:?}: {failure}");
+            }
+        }
+        found.add(once);
+    }
+    Ok(found)
+}
+
+/// Runs a row once, with its parts started in this order.
+async fn run_in(order: [PartKind; 5], binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<Result, String> {
+    let rig = Rig::start(binary, row, order)?;
     let (client, robot) = rig.join().await?;
     let watch = Watch::new(&robot, row.policy).map_err(|error| error.to_string())?;
     let copies = row.has_copy.then(|| Copies::new(&client)).transpose();

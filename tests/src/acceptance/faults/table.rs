@@ -44,8 +44,8 @@ pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String 
          on the cloud's side, and the robot is watched over an unimpaired link. A killed robot restarts where its simulation begins. In rows with a \
          copy, a second mapper follows the first, with a disk of its own; the fault hits the one that leads, and the other must take over. A flood \
          republishes recent messages on every key at ten times their rate. The policy is `finish_horizon` unless named. *Resume* is the time from \
-         the end of the fault until the robot drives again, 0 if it had not come to rest; *at rest* is the share of the missions' time in which it \
-         did not drive.\n\n\
+         the end of the fault until the robot drives or turns again, 0 if it had not come to rest; *at rest* is the share of the missions' time in \
+         which it did neither.\n\n\
          {LIMITS}\n\n\
          One row: `cargo build --release -p zenav-tests --bins && target/release/acceptance faults --only \"depot: loss 5 %\"`; a part of a name runs \
          all rows that contain it.\n\n\

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 use zenav_protocol::bus::{Bus, BusError, Subscription};
-use zenav_protocol::messages::{EdgeState, Event, EventKind, LostPolicy};
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::messages::{EdgeState, Event, EventKind, LostPolicy, Mode};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
@@ -13,8 +14,9 @@ use crate::observer::is_rest;
 
 /// Time for a robot to brake after its plan was withdrawn, s of its clock.
 const BRAKES: f64 = 1.5;
-/// A robot faster than this drives, m/s.
+/// A robot faster than this drives, m/s, or turns, rad/s: a plan may begin with a turn on the spot.
 const DRIVES: f64 = 0.05;
+const TURNS: f64 = 0.1;
 
 /// Observes the robot.
 pub struct Watch {
@@ -71,7 +73,9 @@ impl Watch {
             (self.planned, self.leased) = (state.stamp, state.stamp);
             self.boot.clone_from(&state.boot_id);
         }
-        if state.plan.is_some() {
+        // A maneuver, such as a tree's recovery, needs no plan but the lease.
+        let has_maneuver = state.mode == Mode::Behaviour && state.lease.live;
+        if state.plan.is_some() || has_maneuver {
             self.planned = state.stamp;
         }
         if state.lease.live {
@@ -99,10 +103,11 @@ impl Watch {
         self.last = Some(state);
     }
 
-    /// Whether the robot drives.
+    /// Whether the robot drives or turns.
     #[must_use]
     pub fn drives(&self) -> bool {
-        self.last.as_ref().is_some_and(|state| state.velocity.v.abs() > DRIVES)
+        let moves = |velocity: Twist2| velocity.v.abs() > DRIVES || velocity.w.abs() > TURNS;
+        self.last.as_ref().is_some_and(|state| moves(state.velocity))
             && self.heard.elapsed() < Duration::from_millis(500)
     }
 

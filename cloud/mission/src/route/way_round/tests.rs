@@ -1,5 +1,4 @@
 //! Waiting and the way round, weighed by a robot in front of whom somebody has come.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
 use zenav_protocol::messages::{BasedOn, Event, EventKind, MotionReply};
 use zenav_protocol::time::Stamp;

@@ -83,11 +83,58 @@ fn the_map_that_a_copy_has_taken_over_outlives_a_closure() {
         .at(Point2::new(-19.5, 0.0))
         .map(|value| Occupancy::of(*value));
     assert_eq!(elsewhere, Some(Occupancy::Free));
-    // A session has no other map than its own.
-    assert!(!kept(&mut mapping, true).unwrap().is_whole);
+
+    // It outlives a restart, too.
+    let folder = tempfile::tempdir().unwrap();
+    let written = kept(&mut mapping, true).unwrap();
+    assert_eq!((written.head.base.as_str(), written.base.is_some()), ("copy", true));
+    mapping.was_kept(write(folder.path(), written).unwrap());
+    let successor = core().going_on(read(folder.path()).unwrap().unwrap());
+    let elsewhere = successor
+        .mapper
+        .grid()
+        .at(Point2::new(-19.5, 0.0))
+        .map(|value| Occupancy::of(*value));
+    assert_eq!(elsewhere, Some(Occupancy::Free));
+
+    // It is written once, and not with a map that SLAM begins by itself.
+    drive(&mut mapping, 3.1, 5.0);
+    let again = kept(&mut mapping, true).unwrap();
+    assert_eq!((again.head.base.as_str(), again.base.is_some()), ("copy", false));
     mapping.reset("own");
-    mapping.insert(&scan(3.1), "boot");
-    assert!(kept(&mut mapping, true).unwrap().is_whole);
+    mapping.insert(&scan(5.1), "boot");
+    let own = kept(&mut mapping, true).unwrap();
+    assert_eq!((own.head.base.as_str(), own.base.is_some()), ("", false));
+}
+
+#[test]
+fn a_session_whose_first_map_is_missing_is_not_resumed_without_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut led = Mapper::new(MappingSettings::default(), "led");
+    led.insert(&scan(0.0));
+    let mut mapping = core();
+    let map = MapRef {
+        id: "loaded".into(),
+        ..MapRef::default()
+    };
+    mapping.load(map, &led.grid(), Vec::new(), 1);
+    mapping.locate_first();
+    mapping.mapper.resume();
+    drive(&mut mapping, 0.0, 1.0);
+    write(folder.path(), kept(&mut mapping, true).unwrap()).unwrap();
+    assert!(read(folder.path()).unwrap().is_some());
+    std::fs::rename(folder.path().join(BASE), folder.path().join("elsewhere")).unwrap();
+    let error = read(folder.path()).unwrap_err();
+    assert!(
+        !error.is_transient() && error.to_string().contains("`loaded`"),
+        "{error}"
+    );
+    std::fs::rename(folder.path().join("elsewhere"), folder.path().join(BASE)).unwrap();
+
+    // It goes with its session wherever that goes.
+    let aside = set_aside(folder.path(), "before").unwrap().unwrap();
+    assert!(aside.exists() && folder.path().join("slam.base.before/map.yaml").exists());
+    assert!(!folder.path().join(BASE).exists());
 }
 
 #[test]

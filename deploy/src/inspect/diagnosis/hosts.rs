@@ -1,17 +1,18 @@
-//! Hosts. Checks that the machines of a deployment fit together: one check per host, from what its parts report. Pure.
+//! Hosts. Checks that the machines of a deployment fit together: one check per host, from what its parts report.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use zenav_protocol::SCHEMA_VERSION;
 
-use super::check::Check;
-use super::parts::PartStatus;
+use crate::inspect::check::Check;
+use crate::inspect::parts::PartStatus;
+use crate::output::listed;
 
 /// Largest clock offset of a host; beyond it, log times mislead, s.
 const CLOCK: f64 = 1.0;
 
 /// Judges every host from its parts' reports: message versions and clock.
-pub(super) fn judge(parts: &[PartStatus]) -> Vec<Check> {
+pub(in super::super) fn judge(parts: &[PartStatus]) -> Vec<Check> {
     let mut hosts: BTreeMap<&str, Vec<&PartStatus>> = BTreeMap::new();
     for part in parts.iter().filter(|part| !part.host.is_empty()) {
         hosts.entry(&part.host).or_default().push(part);
@@ -68,8 +69,7 @@ fn mapper_copies(parts: &[PartStatus]) -> Vec<Check> {
         .map(|(robot, processes)| {
             let named = |leads: bool| {
                 let those = processes.iter().filter(|(_, other)| **other == leads);
-                let named: Vec<String> = those.map(|((host, pid, _), _)| format!("{host} (pid {pid})")).collect();
-                named.join(", ")
+                listed(those.map(|((host, pid, _), _)| format!("{host} (pid {pid})")))
             };
             match processes.values().filter(|leads| **leads).count() {
                 0 => Check::warn(
@@ -96,8 +96,8 @@ fn mapper_copies(parts: &[PartStatus]) -> Vec<Check> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::check::Verdict;
     use super::*;
+    use crate::inspect::check::Verdict;
 
     fn part(host: &str, pid: u32, schema: u32, clock_ahead_secs: f64) -> PartStatus {
         PartStatus {

@@ -2,18 +2,25 @@
 //!
 //! `cargo run --release -p zenav-tests --bin benchmarks [NAME…]` runs all benches, or those named, and writes the page; sections of other
 //! runs stay unchanged. Each run's own output is kept in `target/benchmarks/NAME.txt`. A figure is a line `row: NAME | VALUE | UNIT [| PEER
-//! | PEER'S VALUE]` ([`zenav_fixtures::Row`]) or criterion's `NAME time: [LOW ESTIMATE HIGH]`; each becomes a row of the page.
+//! | PEER'S VALUE]` ([`zenav_fixtures::Row`]) or criterion's `NAME time: [LOW ESTIMATE HIGH]`; each becomes a row of the page. A line
+//! `pair: OURS | PEER | THEIRS` ([`zenav_fixtures::Pair`]) puts the figure of one row beside that of another.
+//!
+//! | module | answers |
+//! |---|---|
+//! | `page` | what stands on the page? |
+//! | `earlier` | what were the figures at first? |
 
 #![expect(clippy::print_stdout, reason = "a command that says what it runs")]
 
-use std::fmt::Write as _;
+mod earlier;
+mod page;
+
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
 use clap::Parser;
 use zenav::parallel;
-use zenav_fixtures::Row;
 use zenav_tests::provenance::{field, output, processor};
 
 /// A bench or an acceptance run.
@@ -30,6 +37,9 @@ macro_rules! runs {
         &[$(Run { name: $name, title: $title, arguments: $arguments }),*]
     };
 }
+
+/// The folder with BARN's worlds, which are not shipped; all benches are run without it too.
+const BARN: &str = "barn";
 
 /// Everything that the page shows, in its order.
 const RUNS: &[Run] = runs! {
@@ -48,6 +58,7 @@ const RUNS: &[Run] = runs! {
     "handover": "Two missions, the leader killed and paused", "acceptance handover 14 2 77";
     "fleet": "100 robots' missions on one core", "acceptance fleet 100 30";
     "footprint": "The robot's binary alone", "acceptance footprint";
+    "drive_s1": "Driving in BARN's worlds, ranges noisy to 1 cm", "zenav bench drive --suite s1 --worlds barn --noise 1";
     "drive_s2": "Driving among discs on random polylines", "zenav bench drive --suite s2";
     "drive_s3": "Driving among people who do not look", "zenav bench drive --suite s3";
     "drive_s4": "Driving among people who make way", "zenav bench drive --suite s4";
@@ -60,6 +71,7 @@ const RUNS: &[Run] = runs! {
     "drive_s12": "Processor time on long ways", "zenav bench drive --suite s12";
     "search": "A* and JPS beside the crate pathfinding", "bench -p zenav-planning --bench search";
     "sampling": "Sampling planners beside OMPL", "bench -p zenav-planning --bench sampling";
+    "space_time": "A path past other robots", "bench -p zenav-planning --bench space_time";
     "smoothing": "Trajectories from planned paths, each checked", "bench -p zenav-smoothing --bench smoothing";
     "timing": "Time laws", "bench -p zenav-smoothing --bench timing";
     "mapping": "Scan insertion", "bench -p zenav-mapping --bench mapping";
@@ -108,7 +120,10 @@ fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
     let folder = Path::new("target/benchmarks");
     std::fs::create_dir_all(folder)?;
     let mut good = true;
-    let is_wanted = |run: &&Run| args.names.is_empty() || args.names.iter().any(|name| name == run.name);
+    let is_wanted = |run: &&Run| match &args.names[..] {
+        [] => run.name != "drive_s1" || Path::new(BARN).is_dir(),
+        names => names.iter().any(|name| name == run.name),
+    };
     if !args.write_only {
         let wanted: Vec<&Run> = RUNS.iter().filter(is_wanted).collect();
         if wanted.iter().any(|run| run.arguments.starts_with("acceptance ")) {
@@ -131,7 +146,7 @@ fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
         }
     }
     let last = std::fs::read_to_string(&args.out).unwrap_or_default();
-    std::fs::write(&args.out, page(folder, &last))?;
+    std::fs::write(&args.out, page::page(folder, &last, earlier::figures().as_deref()))?;
     println!("{} is written", args.out.display());
     Ok(good)
 }
@@ -189,145 +204,4 @@ fn provenance() -> String {
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     let load = load.split(' ').next().unwrap_or_default();
     format!("commit {commit}{changed}, {date}; {cores} x {processor}, load {load}, {memory}, {system}; {rust}")
-}
-
-/// The section of a run on an earlier page, without its title.
-fn section<'a>(page: &'a str, title: &str) -> Option<&'a str> {
-    let (_, after) = page.split_once(&format!("\n## {title}\n"))?;
-    let end = after.find("\n## ").or_else(|| after.find("\nNot run here:"));
-    Some(&after[..end.unwrap_or(after.len())])
-}
-
-/// The page, from the runs' outputs; sections without an output are taken from the last page.
-fn page(folder: &Path, last: &str) -> String {
-    let mut page = String::from(
-        "# Benchmarks\n\nWritten by `cargo run --release -p zenav-tests --bin benchmarks` from the output of the commands below: every row that they print, \
-         losing ones too. Where a peer was measured, it was in the same run on the same machine; the ratio is its figure over ours. `load`: \
-         mean number of running threads at the end of the run; above those of the bench, its times are longer for other work.\n",
-    );
-    let mut missing = Vec::new();
-    for run in RUNS {
-        let Ok(output) = std::fs::read_to_string(folder.join(format!("{}.txt", run.name))) else {
-            match section(last, run.title) {
-                Some(section) => {
-                    let _ = write!(page, "\n## {}\n{section}", run.title);
-                }
-                None => missing.push(run.name),
-            }
-            continue;
-        };
-        let (provenance, output) = output.split_once('\n').unwrap_or_default();
-        let _ = write!(
-            page,
-            "\n## {}\n\n`{}`\n\n{provenance}\n\n",
-            run.title,
-            command_line(run)
-        );
-        let rows = rows(output);
-        if rows.is_empty() {
-            let _ = write!(page, "```text\n{}\n```\n", output.trim_end());
-            continue;
-        }
-        page.push_str("| what | zenav | unit | peer | its figure | ratio |\n|---|---|---|---|---|---|\n");
-        for row in rows {
-            let (peer, figure, ratio) = match &row.peer {
-                Some((peer, value)) => (peer.as_str(), figure(*value), figure(value / row.value)),
-                None => ("", String::new(), String::new()),
-            };
-            let _ = writeln!(
-                page,
-                "| {} | {} | {} | {peer} | {figure} | {ratio} |",
-                row.name,
-                self::figure(row.value),
-                row.unit
-            );
-        }
-        if output.trim_end().ends_with("FAILED") {
-            page.push_str("\nThis run did not pass.\n");
-        }
-    }
-    if !missing.is_empty() {
-        let _ = write!(page, "\nNot run here: {}.\n", missing.join(", "));
-    }
-    page
-}
-
-/// Three significant digits.
-fn figure(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return value.to_string();
-    }
-    let digits = 2 - value.abs().log10().floor() as i32;
-    format!("{value:.*}", usize::try_from(digits).unwrap_or(0))
-}
-
-/// Every figure of an output: rows, and criterion's estimates.
-fn rows(output: &str) -> Vec<Row> {
-    let mut found = Vec::new();
-    let mut last = "";
-    for line in output.lines() {
-        if let Some(row) = Row::parse(line) {
-            found.push(row);
-        } else if let Some((name, times)) = line.split_once("time:") {
-            let name = if name.trim().is_empty() {
-                last.trim()
-            } else {
-                name.trim()
-            };
-            found.extend(estimate(name, times));
-        }
-        if !line.trim().is_empty() {
-            last = line;
-        }
-    }
-    found
-}
-
-/// The middle one of `[1.23 us 1.25 us 1.27 us]`.
-fn estimate(name: &str, times: &str) -> Option<Row> {
-    let times = times.trim().strip_prefix('[')?.strip_suffix(']')?;
-    let words: Vec<&str> = times.split_whitespace().collect();
-    let (value, unit) = (words.get(2)?.parse().ok()?, words.get(3)?.replace('µ', "u"));
-    Some(Row::new(name, value, &unit))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_and_criterion_s_estimates_are_found() {
-        let output = "tick/30 nodes            time:   [358.1 ns 360.4 ns 363.0 ns]\nBenchmarking a long name\na long name\n   \
-                      time:   [1.0000 µs 1.2000 µs 1.4000 µs]\nrow: A* | 1.5 | ms | pathfinding | 6\nnothing\n";
-        let found = rows(output);
-        let expected = [
-            Row::new("tick/30 nodes", 360.4, "ns"),
-            Row::new("a long name", 1.2, "us"),
-            Row::new("A*", 1.5, "ms").beside("pathfinding", 6.0),
-        ];
-        assert_eq!(found, expected);
-    }
-
-    #[test]
-    fn figures_have_three_digits() {
-        for (value, text) in [
-            (1.23456, "1.23"),
-            (123_456.7, "123457"),
-            (0.001_234, "0.00123"),
-            (0.0, "0"),
-            (98.76, "98.8"),
-        ] {
-            assert_eq!(figure(value), text);
-        }
-    }
-    #[test]
-    fn what_was_not_run_stays_on_the_page() {
-        let last =
-            "# Benchmarks\n\n## Time laws\n\nthe first\n\n## Scan insertion\n\nthe second\n\nNot run here: bus.\n";
-        let again = page(Path::new("no such folder"), last);
-        assert_eq!(section(&again, "Time laws"), Some("\nthe first\n"));
-        assert_eq!(section(&again, "Scan insertion"), Some("\nthe second\n"));
-        assert_eq!(section(&again, "Behaviour trees"), None);
-        assert!(again.contains("\nNot run here: kitchen, "), "{again}");
-    }
 }

@@ -1,15 +1,14 @@
-//! Capacity of the simulator. Rays per second and real-time factor on this machine.
-//!
-//! The clock is passed in.
+//! Capacity. How many rays and robots does the simulator hold on this machine? The clock is passed in.
 
 use std::time::Duration;
 
 use serde::Serialize;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::RobotModel;
-use zenav_sim::lidar::AngularBuffer;
-use zenav_sim::scatter::scatter;
-use zenav_sim::{RobotSpec, SimError, Simulation, World};
+
+use crate::lidar::AngularBuffer;
+use crate::scatter::scatter;
+use crate::{RobotSpec, SimError, Simulation, World};
 
 /// Number of rounds of sweeps.
 const ROUNDS: usize = 10;
@@ -18,7 +17,7 @@ const ROUND: Duration = Duration::from_millis(50);
 
 /// Results.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct BenchReport {
+pub struct CapacityReport {
     /// Robots in the world.
     pub robots: usize,
     /// Beams of each lidar.
@@ -46,7 +45,7 @@ pub fn run(
     robots: usize,
     simulated: Duration,
     clock: &dyn Fn() -> Duration,
-) -> Result<BenchReport, SimError> {
+) -> Result<CapacityReport, SimError> {
     let rays_per_s = rays(world, model, clock);
     let lidars = || model.all_lidars().map(|(_, lidar)| lidar);
     let (robots, steps, real_time_factor) = whole(world, model, robots, simulated, clock)?;
@@ -54,7 +53,7 @@ pub fn run(
         0 | 1 => real_time_factor,
         _ => whole(world, model, 1, simulated, clock)?.2,
     };
-    Ok(BenchReport {
+    Ok(CapacityReport {
         robots,
         beams: lidars().map(|lidar| lidar.beams).max().unwrap_or(0),
         rate_hz: lidars().map(|lidar| lidar.rate_hz).fold(0.0, f64::max),
@@ -129,12 +128,11 @@ pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> 
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_bench_tells_of_all_robots_and_of_one() {
+    fn a_report_tells_of_all_robots_and_of_one() {
         let model = zenav_fixtures::robot("tiago");
         let ticks = std::cell::Cell::new(0);
         let clock = || {

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use zenav_sim::made_worlds;
+use zenav_sim::{capacity, made_worlds};
 
 use super::show::{self, ShowArgs};
-use super::{sim_bench, thread_time};
+use super::thread_time;
+use crate::arguments::{self, positive};
 use crate::completion;
-use crate::connect::{self, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
@@ -45,10 +45,10 @@ struct SimBenchArgs {
     #[arg(long, value_name = "R", default_value = "tiago", add = completion::models())]
     robot: String,
     /// Robots in the world, as many as fit
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = arguments::whole::<usize>)]
     robots: usize,
     /// Beams of each lidar [default: the robot's own]
-    #[arg(long, value_name = "B", value_parser = connect::whole::<usize>)]
+    #[arg(long, value_name = "B", value_parser = arguments::whole::<usize>)]
     beams: Option<usize>,
     /// Scans per second of each lidar
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]
@@ -92,7 +92,7 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
     };
     let time = Duration::try_from_secs_f64(args.time)
         .map_err(|error| Failure::usage(format!("--time {}: {error}", args.time)))?;
-    let report = sim_bench::run(&world, &model, args.robots, time, &thread_time).map_err(Failure::failed)?;
+    let report = capacity::run(&world, &model, args.robots, time, &thread_time).map_err(Failure::failed)?;
     if report.robots < args.robots {
         tracing::warn!(
             "there is room for {} of {} robots in {}",
