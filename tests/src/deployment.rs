@@ -12,7 +12,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 use zenav_protocol::bus::{Bus, BusConfig};
 
-use crate::process::{Process, free_endpoint, run, words};
+use crate::process::{LOGGED, Process, free_endpoint, run, words};
 
 /// The robot of the shipped deployment.
 pub const ROBOT: &str = "tiago";
@@ -44,6 +44,8 @@ pub struct Deployment {
     folder: TempDir,
     world: String,
     speed: f64,
+    /// What the parts log, as in `RUST_LOG`.
+    pub logged: &'static str,
     /// The router's endpoint.
     pub router: String,
     /// The robot's own endpoint.
@@ -70,6 +72,7 @@ impl Deployment {
             folder,
             world,
             speed,
+            logged: LOGGED,
             router: free_endpoint(),
             edge: free_endpoint(),
         }
@@ -82,7 +85,7 @@ impl Deployment {
     }
 
     fn start(&self, arguments: &[&str]) -> Process {
-        Process::start(&self.binary, arguments, self.folder())
+        Process::start_logging(&self.binary, arguments, self.folder(), self.logged)
     }
 
     /// `zenav router`.

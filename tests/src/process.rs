@@ -22,6 +22,9 @@ pub struct Process {
 /// Ports below the system's ephemeral range: neither a link's local port nor a part that listens on port 0 takes one of them.
 const PORTS: Range<u32> = 10_000..32_000;
 
+/// What a process logs, as in `RUST_LOG`.
+pub(crate) const LOGGED: &str = "info,zenoh=error";
+
 /// A free loopback endpoint; each call of a process gives another one.
 ///
 /// Tests in different processes begin at different ports.
@@ -55,11 +58,20 @@ impl Process {
     /// When the binary cannot be started.
     #[must_use]
     pub fn start(binary: impl AsRef<OsStr>, arguments: &[&str], folder: &Path) -> Self {
+        Self::start_logging(binary, arguments, folder, LOGGED)
+    }
+
+    /// Like [`Self::start`]; `logged` is what it logs, as in `RUST_LOG`.
+    ///
+    /// # Panics
+    /// When the binary cannot be started.
+    #[must_use]
+    pub fn start_logging(binary: impl AsRef<OsStr>, arguments: &[&str], folder: &Path, logged: &str) -> Self {
         #[expect(clippy::expect_used, reason = "a test cannot go on without its process")]
         let mut child = Command::new(binary)
             .args(arguments)
             .current_dir(folder)
-            .env("RUST_LOG", "info,zenoh=error")
+            .env("RUST_LOG", logged)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())

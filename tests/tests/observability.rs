@@ -199,8 +199,10 @@ async fn a_part_says_what_it_waits_for_when_it_is_ready_and_when_its_router_goes
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn log_lines_in_json_name_part_robot_and_goal() {
-    let deployment = Deployment::new(ZENAV, "kitchen", 8.0);
+async fn log_lines_in_json_name_part_robot_goal_and_plan() {
+    let mut deployment = Deployment::new(ZENAV, "kitchen", 8.0);
+    // Without this, only plans that are rejected are logged.
+    deployment.logged = "info,zenav_edge=debug,zenoh=error";
     let mut up = deployment.start_up_with(&["--no-gateway", "--log-format", "json"]);
     let bus = deployment.bus().await;
     Observer::new(&bus, ROBOT)
@@ -232,6 +234,10 @@ async fn log_lines_in_json_name_part_robot_and_goal() {
     ] {
         assert!(has(fields), "{fields:?}: {lines:#?}");
     }
+    let is_accepted =
+        |line: &Value| line["message"] == "plan accepted" && line["robot"] == ROBOT && line["goal"] == "g-7";
+    let accepted = lines.iter().find(|line| is_accepted(line));
+    assert!(accepted.is_some_and(|line| line["plan"].is_u64()), "{lines:#?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

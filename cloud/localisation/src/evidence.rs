@@ -6,12 +6,17 @@ use zenav_protocol::geometry::Pose2;
 use crate::known_map::KnownMap;
 use crate::settings::EvidenceSettings;
 
+/// If the laser is in an obstacle of the map, and at least this share of the beams through walls ends at a wall all the same, the obstacle was
+/// taken away: in a wrong place they end anywhere.
+const GONE: f64 = 0.67;
+
 /// Evidence of a scan on a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
     /// Points in known cells; others do not count.
     pub points: usize,
-    /// Share of them that end at a wall without passing through one, 0 to 1.
+    /// Share of them that end at a wall without passing through one, 0 to 1; the walls of an obstacle that was taken away from where the
+    /// robot is do not count.
     pub agreeing: f64,
     /// Share of them that go through a wall, 0 to 1: a pose in the wrong room, or a wall that was removed.
     pub through_walls: f64,
@@ -41,24 +46,21 @@ pub fn evidence(
     map_from_base: Pose2,
     settings: &EvidenceSettings,
 ) -> Evidence {
-    let field = map.field();
-    let resolution = field.spec().resolution;
     let from = map_from_base.transform_point(laser);
-    let (mut counted, mut agreeing, mut through) = (0_usize, 0_usize, 0_usize);
+    let (mut counted, mut agreeing, mut through, mut gone) = (0_usize, 0_usize, 0_usize, 0_usize);
     for point in points {
-        let end = map_from_base.transform_point(*point);
-        let beam = end - from;
-        let length = beam.norm();
-        let steps = ((length - settings.own_end) / resolution).floor().max(0.0) as usize;
-        let step = beam * (resolution / length.max(f64::MIN_POSITIVE));
-        let passes = (0..steps).any(|count| field.at(from + step * count as f64) >= settings.wall);
-        let ends = field.at(end) >= settings.explained;
-        if !passes && !ends && !map.knows(end) {
+        let Some(beam) = beam(map, from, map_from_base.transform_point(*point), settings) else {
             continue;
-        }
+        };
         counted += 1;
-        agreeing += usize::from(ends && !passes);
-        through += usize::from(passes);
+        agreeing += usize::from(beam.ends && !beam.passes);
+        through += usize::from(beam.passes);
+        gone += usize::from(beam.ends && beam.passes);
+    }
+    // Where the robot is, nothing else stands.
+    let is_in_obstacle = map.knows(from) && map.places().field().at(from) == 0.0;
+    if is_in_obstacle && gone as f64 >= GONE * through as f64 {
+        agreeing += gone;
     }
     let share = |count: usize| count as f64 / counted.max(1) as f64;
     Evidence {
@@ -66,4 +68,26 @@ pub fn evidence(
         agreeing: share(agreeing),
         through_walls: share(through),
     }
+}
+
+/// A beam in the map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Beam {
+    /// Whether it goes through a wall.
+    pub(crate) passes: bool,
+    /// Whether it ends at one.
+    pub(crate) ends: bool,
+}
+
+/// A beam from one point of the map to another; `None` if it ends in an unknown cell and passes no wall.
+pub(crate) fn beam(map: &KnownMap, from: Point2<f64>, end: Point2<f64>, settings: &EvidenceSettings) -> Option<Beam> {
+    let field = map.field();
+    let resolution = field.spec().resolution;
+    let beam = end - from;
+    let length = beam.norm();
+    let steps = ((length - settings.own_end) / resolution).floor().max(0.0) as usize;
+    let step = beam * (resolution / length.max(f64::MIN_POSITIVE));
+    let passes = (0..steps).any(|count| field.at(from + step * count as f64) >= settings.wall);
+    let ends = field.at(end) >= settings.explained;
+    (passes || ends || map.knows(end)).then_some(Beam { passes, ends })
 }

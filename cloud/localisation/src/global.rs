@@ -1,12 +1,13 @@
 //! Global search. Finds the places in the whole map from which a scan may have been taken.
 
-use nalgebra::{Matrix3, Point2};
+use nalgebra::{Matrix3, Point2, Rotation2, Vector2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_scan_matching::{Refinable, Search, Window, floored, search_among, turned};
 
-use crate::evidence::{Evidence, evidence};
+use crate::evidence::{Beam, Evidence, beam, evidence};
 use crate::known_map::KnownMap;
 use crate::settings::{GlobalSettings, LocalisationSettings};
+use crate::view::Sight;
 
 /// Least standard deviation of a found place, m and rad: one scan determines it no better.
 const FOUND: (f64, f64) = (0.05, 0.02);
@@ -23,6 +24,15 @@ const NEAR_FACES: f64 = 0.9;
 const FACED: usize = 8;
 /// Least likelihood of a point in a wall's own cell.
 const A_WALL: f64 = 0.99;
+
+/// Maxima closer than this share of the distance at which places are one are one maximum: a scan may agree best at the lower of two.
+const NEAR: f64 = 0.5;
+/// Widest door, m.
+const DOOR: f64 = 1.5;
+/// A place explains less if another one explains at least this many points of the scan that end in free space there, ...
+const MORE: usize = 12;
+/// ... and this many times as many as are explained by the first place only.
+const TIMES: usize = 4;
 
 /// A place where the scan may have been taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +93,17 @@ pub enum Found {
 /// ```
 #[must_use]
 pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings: &LocalisationSettings) -> Found {
+    let sight = Sight {
+        laser,
+        points: points.to_vec(),
+    };
+    find_in_view(map, &[sight], settings)
+}
+
+/// The same for several scans, all in the frame of the base at the newest, which comes first.
+pub(crate) fn find_in_view(map: &KnownMap, view: &[Sight], settings: &LocalisationSettings) -> Found {
     let global = &settings.global;
+    let points: Vec<Point2<f64>> = view.iter().flat_map(|sight| sight.points.iter().copied()).collect();
     if points.len() < settings.evidence.least_points as usize {
         return Found::Nowhere;
     }
@@ -97,8 +117,8 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     let thinned: Vec<Point2<f64>> = points.iter().copied().step_by(stride).collect();
     let window = Window {
         count: global.places as usize,
-        apart: global.apart,
-        apart_turn: global.apart_turn,
+        apart: NEAR * global.apart,
+        apart_turn: NEAR * global.apart_turn,
         budget: global.budget as usize,
         across: 0.5 * height,
         within: global.within,
@@ -110,22 +130,31 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     let searched = candidates(&window, global, look);
     // If the list of places is full, some were dropped.
     let is_exact = searched.is_exact && searched.found.len() < window.count;
-    let scan = Refinable::new(points);
+    let scan = Refinable::new(&points);
     let mut places: Vec<Hypothesis> = Vec::new();
     for candidate in &searched.found {
         let refined = scan.refine(map.field(), candidate.pose, None, &settings.refine);
         let pose = refined.pose;
-        let is_known = places.iter().any(|place| is_one_place(place.pose, pose, settings));
-        if !is_known && map.knows(pose.position()) {
-            let evidence = evidence(map, laser, points, pose, &settings.evidence);
-            let known = floored(&refined.information, FOUND.0, FOUND.1);
-            let covariance = known.try_inverse().unwrap_or_else(Matrix3::identity);
-            places.push(Hypothesis {
-                pose,
-                covariance: turned(&covariance, pose.yaw),
-                evidence,
-            });
+        if !map.knows(pose.position()) {
+            continue;
         }
+        let evidence = weigh(map, view, pose, settings);
+        // Of several maxima at one place the one that the scan agrees with best is meant.
+        let is_same = |place: &Hypothesis| is_one_place(place.pose, pose, settings);
+        if places
+            .iter()
+            .any(|place| is_same(place) && place.evidence.agreeing >= evidence.agreeing)
+        {
+            continue;
+        }
+        places.retain(|place| !is_same(place));
+        let known = floored(&refined.information, FOUND.0, FOUND.1);
+        let covariance = known.try_inverse().unwrap_or_else(Matrix3::identity);
+        places.push(Hypothesis {
+            pose,
+            covariance: turned(&covariance, pose.yaw),
+            evidence,
+        });
     }
     places.sort_by(|a, b| b.evidence.agreeing.total_cmp(&a.evidence.agreeing));
     let Some(best) = places.first().copied() else {
@@ -135,8 +164,13 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
         return if is_exact { Found::Nowhere } else { Found::OutOfBudget };
     }
     places.retain(|place| place.evidence.agreeing > best.evidence.agreeing - global.margin);
+    if places.len() > 1 {
+        let of_best = ends(map, view, best.pose, &scan, settings);
+        let is_rival = |pose: Pose2| !explains_less(&ends(map, view, pose, &scan, settings), &of_best);
+        places.retain(|place| place.pose == best.pose || is_rival(place.pose));
+    }
     for place in places.iter_mut().take(FACED) {
-        place.pose = at_near_faces(map, laser, points, &scan, place.pose, settings);
+        place.pose = at_near_faces(map, view, &scan, place.pose, settings);
     }
     if places.len() > 1 {
         return Found::Ambiguous(places);
@@ -172,13 +206,12 @@ fn candidates(window: &Window, global: &GlobalSettings, mut look: impl FnMut(&Wi
 /// one of them also fits the other, off by a wall's thickness.
 fn at_near_faces(
     map: &KnownMap,
-    laser: Point2<f64>,
-    points: &[Point2<f64>],
+    view: &[Sight],
     scan: &Refinable,
     found: Pose2,
     settings: &LocalisationSettings,
 ) -> Pose2 {
-    let (mut best, mut most) = (found, first_hits(map, laser, points, found));
+    let (mut best, mut most) = (found, first_hits(map, view, found));
     if most >= NEAR_FACES {
         return found;
     }
@@ -194,7 +227,7 @@ fn at_near_faces(
                 continue;
             }
             asked.push(pose);
-            let hits = first_hits(map, laser, points, pose);
+            let hits = first_hits(map, view, pose);
             if hits > most + BETTER {
                 (best, most) = (pose, hits);
             }
@@ -203,20 +236,116 @@ fn at_near_faces(
     best
 }
 
+/// Evidence of all scans of a view on a pose of the newest.
+fn weigh(map: &KnownMap, view: &[Sight], map_from_base: Pose2, settings: &LocalisationSettings) -> Evidence {
+    let mut all = Evidence::default();
+    let (mut agreeing, mut through) = (0.0, 0.0);
+    for sight in view {
+        let one = evidence(map, sight.laser, &sight.points, map_from_base, &settings.evidence);
+        let points = one.points as f64;
+        all.points += one.points;
+        agreeing += one.agreeing * points;
+        through += one.through_walls * points;
+    }
+    let points = all.points.max(1) as f64;
+    Evidence {
+        agreeing: agreeing / points,
+        through_walls: through / points,
+        ..all
+    }
+}
+
+/// How a beam ends in the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// At a wall.
+    Wall,
+    /// In free space, where nothing was.
+    Free,
+    /// In free space, between two walls: a door may be closed.
+    Gap,
+    /// Behind a wall: it may have been taken away.
+    Behind,
+    /// Where the map knows nothing.
+    Unknown,
+}
+
+/// How each beam of a view ends, from a pose of the newest scan.
+fn ends(
+    map: &KnownMap,
+    view: &[Sight],
+    map_from_base: Pose2,
+    scan: &Refinable,
+    settings: &LocalisationSettings,
+) -> Vec<End> {
+    let (field, rules) = (map.field(), &settings.evidence);
+    let resolution = map.spec().resolution;
+    let turn = Rotation2::new(map_from_base.yaw);
+    let lasers = view
+        .iter()
+        .flat_map(|sight| std::iter::repeat_n(sight.laser, sight.points.len()));
+    let end = |laser: Point2<f64>, point: &Point2<f64>, normal: Option<Vector2<f64>>| {
+        let at = map_from_base.transform_point(*point);
+        match beam(map, map_from_base.transform_point(laser), at, rules) {
+            None => return End::Unknown,
+            Some(Beam { passes: true, .. }) => return End::Behind,
+            Some(Beam { ends: true, .. }) => return End::Wall,
+            Some(_) => {}
+        }
+        let steps = (DOOR / resolution) as usize;
+        let meets = |along: Vector2<f64>| {
+            (1..=steps).find(|count| field.at(at + along * (resolution * *count as f64)) >= rules.wall)
+        };
+        let is_gap = normal.is_some_and(|normal| {
+            let along = turn * Vector2::new(-normal.y, normal.x);
+            let sides = meets(along).zip(meets(-along));
+            sides.is_some_and(|(left, right)| left + right <= steps)
+        });
+        if is_gap { End::Gap } else { End::Free }
+    };
+    lasers
+        .zip(scan.points())
+        .zip(scan.normals())
+        .map(|((laser, point), normal)| end(laser, point, *normal))
+        .collect()
+}
+
+/// Whether a place explains the scan less than another, and nothing that this one does not.
+fn explains_less(ends: &[End], better: &[End]) -> bool {
+    let count = |is: fn(End, End) -> bool| {
+        ends.iter()
+            .zip(better)
+            .filter(|(end, better)| is(**end, **better))
+            .count()
+    };
+    let by_better = count(|end, better| better == End::Wall && end == End::Free);
+    let by_this = count(|end, better| end == End::Wall && !matches!(better, End::Wall | End::Unknown));
+    by_better >= MORE && by_better >= TIMES * by_this
+}
+
 /// Share of the beams that end at the first wall on their way, 0 to 1.
-fn first_hits(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], map_from_base: Pose2) -> f64 {
+fn first_hits(map: &KnownMap, view: &[Sight], map_from_base: Pose2) -> f64 {
     let field = map.field();
     let step = 0.5 * map.spec().resolution;
-    let from = map_from_base.transform_point(laser);
-    let is_first = |point: &&Point2<f64>| {
-        let beam = map_from_base.transform_point(**point) - from;
+    let is_first = |laser: Point2<f64>, point: Point2<f64>| {
+        let from = map_from_base.transform_point(laser);
+        let beam = map_from_base.transform_point(point) - from;
         let length = beam.norm();
         let along = beam / length.max(f64::MIN_POSITIVE);
         let steps = (length / step) as usize + 3;
         let first = (0..steps).find(|count| field.at(from + along * (step * *count as f64)) >= A_WALL);
         first.is_some_and(|count| (step * count as f64 - length).abs() <= 3.0 * step)
     };
-    points.iter().filter(is_first).count() as f64 / points.len().max(1) as f64
+    let (mut first, mut all) = (0_usize, 0_usize);
+    for sight in view {
+        all += sight.points.len();
+        first += sight
+            .points
+            .iter()
+            .filter(|point| is_first(sight.laser, **point))
+            .count();
+    }
+    first as f64 / all.max(1) as f64
 }
 
 /// Whether a search counts two poses as one place.
@@ -292,7 +421,11 @@ mod tests {
         let scan = Refinable::new(&points);
         let refined = scan.refine(map.field(), behind, None, &settings.refine).pose;
         assert!(refined.distance(&truth) > 0.1, "{refined:?}: refining alone would do");
-        let near = at_near_faces(&map, Point2::origin(), &points, &scan, refined, &settings);
+        let sight = Sight {
+            laser: Point2::origin(),
+            points: points.clone(),
+        };
+        let near = at_near_faces(&map, &[sight], &scan, refined, &settings);
         assert!(near.distance(&truth) < 0.06, "{near:?}");
     }
 }

@@ -23,15 +23,18 @@
 //! |---|---|
 //! | `localiser` | where is the robot now, and is that right? |
 //! | `global` | where in the whole map could this scan be from? |
+//! | `view` | what has a lost robot seen so far? |
 //! | `known_map` | how near is a point to a wall, and is its cell known? |
 //! | `evidence` | how much of a scan agrees with the map? |
 //! | `settings` | what can be tuned? |
 
 mod evidence;
+mod faces;
 mod global;
 mod known_map;
 mod localiser;
 mod settings;
+mod view;
 
 pub use evidence::{Evidence, evidence};
 pub use global::{Found, Hypothesis, find, is_one_place};

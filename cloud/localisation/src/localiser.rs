@@ -10,9 +10,11 @@ use zenav_scan_matching::{
 };
 
 use crate::evidence::{Evidence, evidence};
-use crate::global::{Found, Hypothesis, find, is_one_place};
+use crate::faces::Faces;
+use crate::global::{Found, Hypothesis, find, find_in_view, is_one_place};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
+use crate::view::View;
 
 /// Most points used by a search around the expected pose.
 const SEARCH_POINTS: usize = 120;
@@ -26,6 +28,9 @@ const JUMP: f64 = 16.0;
 const WIDER: (f64, f64) = (3.0, 3.0);
 /// Most places returned by such a search.
 const RIVALS: usize = 8;
+/// A place with which at least this share of what is seen agrees is taken at once; in a crowd and among moved furniture, a second search
+/// has to confirm it.
+const SURE: f64 = 0.9;
 /// Interval between two global searches, s.
 const SEARCH_PERIOD: f64 = 0.5;
 /// Pause until the whole map is searched again while the scans contradict the place; it doubles from the first to the second value, s.
@@ -75,6 +80,11 @@ pub struct Localiser {
     /// Pause before the next search in doubt, s.
     doubt: f64,
     evidence: Evidence,
+    /// The scans of a lost robot.
+    view: View,
+    /// A place that the last search found, with the odometry there, which the next one has to confirm.
+    hoped: Option<(Pose2, Pose2)>,
+    faces: Faces,
 }
 
 /// The last scan.
@@ -132,6 +142,9 @@ impl Localiser {
             searched_at: None,
             doubt: DOUBT.0,
             evidence: Evidence::default(),
+            view: View::default(),
+            hoped: None,
+            faces: Faces::default(),
         }
     }
 
@@ -167,6 +180,7 @@ impl Localiser {
         let elapsed = scan.stamp.secs_since(last.stamp);
         let seen = points(scan, step, elapsed, &self.settings.scan);
         let laser = scan.base_from_laser.position();
+        let seen = self.faces.in_map(laser, seen);
         let start = last.pose * self.odometry.corrected(step);
         let mut now = Last {
             stamp: scan.stamp,
@@ -208,6 +222,9 @@ impl Localiser {
                 .try_inverse()
                 .map(|covariance| turned(&covariance, refined.pose.yaw));
             self.note(laser, &seen, &refined);
+            if refined.degenerate.is_none() && self.evidence.agreeing >= self.settings.global.agrees {
+                self.faces.learn(self.map.field(), laser, &seen, refined.pose);
+            }
             let contradicts = self.evidence.points >= self.settings.evidence.least_points as usize
                 && self.evidence.agreeing < self.settings.tracking.doubtful;
             if is_jump {
@@ -389,14 +406,22 @@ impl Localiser {
             is_found_anew: false,
         };
         self.last = Some(now);
+        self.view.keep(now.odom_from_base, laser, seen);
         if !self.is_search_due(now.stamp) {
             return located;
         }
         self.searched_at = Some(now.stamp);
-        match find(&self.map, laser, seen, &self.settings) {
+        let view = self.view.joined(now.odom_from_base, laser, seen);
+        let hoped = self.hoped.take();
+        match find_in_view(&self.map, &view, &self.settings) {
+            Found::Unique(place) if !self.is_sure(&place, hoped, now.odom_from_base) => {
+                self.health = Health::Searching;
+                self.hoped = Some((now.odom_from_base, place.pose));
+            }
             Found::Unique(place) => {
                 self.health = Health::Tracking;
                 self.contradictions = 0;
+                self.view.clear();
                 self.evidence = place.evidence;
                 let own = turned(&place.covariance, -place.pose.yaw);
                 self.odometry
@@ -416,11 +441,25 @@ impl Localiser {
                     hypotheses: places.iter().map(|place| place.pose).collect(),
                 };
             }
-            Found::Nowhere | Found::OutOfBudget => self.health = Health::Lost,
+            Found::Nowhere | Found::OutOfBudget => {
+                self.health = Health::Lost;
+                // Scans of a robot that is being carried do not belong together.
+                if self.view.is_wide() {
+                    self.view.clear();
+                }
+            }
         }
         located.health = self.health.clone();
         located.evidence = self.evidence;
         located
+    }
+
+    /// Whether a place that was found is taken: if most of what is seen agrees with the map, or the search before found it, too.
+    fn is_sure(&self, place: &Hypothesis, hoped: Option<(Pose2, Pose2)>, odom_from_base: Pose2) -> bool {
+        let is_confirmed = hoped.is_some_and(|(odometry, pose)| {
+            is_one_place(pose * (odometry.inverse() * odom_from_base), place.pose, &self.settings)
+        });
+        is_confirmed || place.evidence.agreeing >= SURE
     }
 
     /// Whether a lost robot may be searched for again at this stamp.
@@ -442,7 +481,8 @@ impl Localiser {
     /// assert!(located.is_found_anew && located.pose.distance(&truth) < 0.1, "{located:?}");
     /// ```
     pub fn lose(&mut self) {
-        (self.last, self.told) = (None, None);
+        (self.last, self.told, self.hoped) = (None, None, None);
+        self.view.clear();
         self.health = Health::Searching;
         self.searched_at = None;
     }
@@ -463,6 +503,8 @@ impl Localiser {
         self.health = Health::Tracking;
         self.contradictions = 0;
         self.doubt = DOUBT.0;
+        self.hoped = None;
+        self.view.clear();
         match self.last {
             None => self.told = Some(map_from_base),
             Some(Last {

@@ -128,7 +128,7 @@ zenav_protocol::settings! {
         /// Places that score this much less than the best one are ignored.
         pub within: f64 = 0.1, "", 0.0..=1.0;
         /// Most places examined closely, best first.
-        pub places: u32 = 100, "", 1..=1000;
+        pub places: u32 = 200, "", 1..=1000;
         /// Places closer than this are one.
         pub apart: f64 = 0.5, "m", 0.01..=100.0;
         /// Headings closer than this are one.

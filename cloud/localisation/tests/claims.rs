@@ -106,6 +106,92 @@ fn a_rival_that_scores_less_than_the_best_place_has_to_makes_it_ambiguous_too() 
     }
 }
 
+/// A room of 4 m by 3 m with a corner cut off, its left wall at `x`.
+fn is_room(at: Point2<f64>, x: f64) -> bool {
+    let (dx, dy) = ((at.x - x - 2.0).abs(), (at.y - 2.0).abs());
+    (dx < 2.0 && dy < 1.5) && (dx > 1.9 || dy > 1.4 || (at.x - x < 0.8 && at.y < 1.2))
+}
+
+#[test]
+fn a_box_that_stands_in_one_of_two_rooms_tells_them_apart() {
+    // 6 % of the scan.
+    let is_box = |at: Point2<f64>| (1.8..2.2).contains(&at.x) && (3.0..3.4).contains(&at.y);
+    let map = map_where(spec(220, 80, 0.05), |at| {
+        is_room(at, 0.5) || is_room(at, 5.5) || is_box(at)
+    });
+    let settings = LocalisationSettings::default();
+    let known = KnownMap::new(&map, settings.tracking.sigma);
+    let look_from = |truth: Pose2| {
+        let scan = look(&map, 1, truth, Pose2::IDENTITY, Pose2::IDENTITY);
+        let seen = points(&scan, Pose2::IDENTITY, 0.1, &ScanSettings::default());
+        find(&known, Point2::origin(), &seen, &settings)
+    };
+    let with = Pose2::new(2.6, 2.0, 0.4);
+    let Found::Unique(place) = look_from(with) else {
+        panic!("{:?}", look_from(with));
+    };
+    assert!(is_near(place.pose, with), "{place:?}");
+    // From the room without it, the box may have been taken away.
+    let without = look_from(Pose2::new(7.6, 2.0, 0.4));
+    assert!(matches!(without, Found::Ambiguous(_)), "{without:?}");
+}
+
+#[test]
+fn a_lost_robot_that_turns_remembers_what_it_saw() {
+    // Of three rooms one has boxes to the left and to the right, the others have one of them.
+    let is_box = |at: Point2<f64>, x: f64| (x..x + 0.5).contains(&at.x) && (2.3..3.4).contains(&at.y);
+    let map = map_where(spec(320, 80, 0.05), |at| {
+        let boxes = [0.6, 3.9, 8.9, 10.6].iter().any(|x| is_box(at, *x));
+        [0.5, 5.5, 10.5].iter().any(|x| is_room(at, *x)) || boxes
+    });
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    localiser.lose();
+    // Its lidar sees 120 degrees, never both sides at once. It turns from the left by the near side to the right.
+    let mut found = None;
+    for number in 0..13_u64 {
+        let yaw = -std::f64::consts::PI + 0.25 * number as f64;
+        let truth = Pose2::new(2.5, 2.0, yaw);
+        let odometry = Pose2::new(0.0, 0.0, 0.25 * number as f64);
+        let mut scan = look(&map, (1 + number) * 500_000_000, truth, odometry, Pose2::IDENTITY);
+        for beam in (0..80).chain(160..240) {
+            scan.ranges[beam] = f32::INFINITY;
+        }
+        let located = localiser.step(&scan).unwrap();
+        if located.is_found_anew {
+            found = Some((located.pose, truth));
+            break;
+        }
+        assert!(!located.health.is_trusted());
+    }
+    assert!(found.is_some_and(|(pose, truth)| is_near(pose, truth)), "{found:?}");
+}
+
+#[test]
+fn in_a_crowd_a_place_is_taken_once_a_second_search_confirms_it() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let truth = Pose2::new(6.5, 1.5, -1.0);
+    localiser.lose();
+    let located: Vec<_> = (1..=6)
+        .map(|number| {
+            let mut scan = look(&map, number * 100_000_000, truth, Pose2::IDENTITY, Pose2::IDENTITY);
+            for person in [20, 110, 190] {
+                let hidden = scan.ranges.iter_mut().skip(person).take(15);
+                hidden.for_each(|range| *range = range.min(0.8));
+            }
+            localiser.step(&scan).unwrap()
+        })
+        .collect();
+    assert!(
+        located[..5].iter().all(|located| located.health == Health::Searching),
+        "{located:?}"
+    );
+    assert!(
+        located[5].is_found_anew && is_near(located[5].pose, truth),
+        "{located:?}"
+    );
+}
+
 #[test]
 fn a_robot_that_was_carried_away_is_lost_at_once_and_found_again() {
     let map = house();
@@ -298,6 +384,33 @@ fn a_house_whose_furniture_was_moved_is_still_that_house() {
             "scan {number}: {located:?} instead of {truth:?}"
         );
     }
+}
+
+#[test]
+fn a_robot_is_followed_through_furniture_that_is_gone() {
+    let mut map = house();
+    // Once a cupboard of 0.8 m stood where the robot drives: there all its beams pass walls.
+    let changed = map.clone();
+    for index in 0..map.spec().len() {
+        let cell = map.spec().cell(index);
+        let at = map.spec().center(cell);
+        if (1.6..2.4).contains(&at.x) && (2.3..3.1).contains(&at.y) {
+            map[cell] = Occupancy::OCCUPIED;
+        }
+    }
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let guess = Pose2::new(1.0, 2.0, 0.6);
+    let mut through = 0.0_f64;
+    for (number, (truth, odometry)) in drive().into_iter().enumerate() {
+        let scan = look(&changed, 100 + 100_000_000 * number as u64, truth, odometry, guess);
+        let located = localiser.step(&scan).unwrap();
+        through = through.max(located.evidence.through_walls);
+        assert!(
+            located.health.is_trusted() && !located.is_found_anew && located.pose.distance(&truth) < 0.1,
+            "scan {number}: {located:?} instead of {truth:?}"
+        );
+    }
+    assert!(through > 0.9, "{through}");
 }
 
 #[test]

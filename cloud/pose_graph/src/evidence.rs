@@ -31,8 +31,12 @@ const FAR: f64 = 4.0;
 const LEAST_SHARE: f64 = 1e-9;
 /// Added to information matrices before they are inverted, as a share of the largest entry.
 const LEAST_INFORMATION: f64 = 1e-9;
+/// Most closures that are accepted together since they agree: others follow once these are accepted.
+const MAX_GROUP: usize = 4;
 /// Most rounds of acceptance.
 const MAX_ROUNDS: usize = 40;
+/// A rejected group of at least this many contests the accepted closures.
+const CONTESTING: usize = 4;
 /// Most groups of rejected closures that are tried against the accepted ones.
 const MAX_TRIALS: usize = 16;
 
@@ -153,15 +157,20 @@ impl<'g> Weighing<'g> {
         }
     }
 
-    /// Accepts and drops closures until no evidence is left that is not used.
-    pub(crate) fn settle(&mut self, descent: &DescentSettings) {
-        self.rounds(descent);
-        for group in self.groups() {
+    /// Tries rejected groups that agree around short cycles against the accepted closures.
+    pub(crate) fn try_rejected(&mut self, descent: &DescentSettings) {
+        for group in self.groups().into_iter().take(MAX_TRIALS) {
             self.try_against_the_others(&group, descent);
         }
     }
 
-    fn rounds(&mut self, descent: &DescentSettings) {
+    /// Whether closures that agree around short cycles are rejected in groups: then these contradict the accepted ones.
+    pub(crate) fn is_contested(&self) -> bool {
+        self.groups().first().is_some_and(|group| group.len() >= CONTESTING)
+    }
+
+    /// Accepts and drops closures until no evidence is left that is not used.
+    pub(crate) fn settle(&mut self, descent: &DescentSettings) {
         let mut is_full = true;
         for _ in 0..MAX_ROUNDS {
             self.fit(descent, &[]);
@@ -311,20 +320,34 @@ impl<'g> Weighing<'g> {
                 (is_sure[*a], is_sure[*b]) = (true, true);
             }
         }
-        let is_asked = |closure: &&Closure| {
-            let edge = &self.graph.edges()[closure.index];
-            let is_conspicuous = || edge_chi_squared(edge, &self.poses) > CONSPICUOUS;
-            self.weights[closure.index] > 0.0 && (!is_sure[closure.index] || is_conspicuous())
-        };
-        let mut lone = Vec::new();
-        for closure in self.closures.iter().filter(is_asked) {
+        let edges = self.graph.edges();
+        let is_asked = |index: usize| !is_sure[index] || edge_chi_squared(&edges[index], &self.poses) > CONSPICUOUS;
+        self.unconfirmed(halves, background, ACCEPTED, is_asked)
+    }
+
+    /// The accepted closures, of those asked for, that more than this number of false ones may be expected to fit as well as.
+    fn unconfirmed(
+        &self,
+        halves: &mut Halves<'_, 3>,
+        background: &Background,
+        most: f64,
+        is_asked: impl Fn(usize) -> bool,
+    ) -> Vec<usize> {
+        if !background.chance.is_any() {
+            return Vec::new();
+        }
+        let mut unconfirmed = Vec::new();
+        for closure in &self.closures {
+            if self.weights[closure.index] == 0.0 || !is_asked(closure.index) {
+                continue;
+            }
             let half = self.half(closure, halves);
             let fit = closure.without(&self.gap(closure), &half.covariance(&half));
-            if background.chance.is_any() && fit.is_none_or(|fit| self.expected(closure, &fit, background) > ACCEPTED) {
-                lone.push(closure.index);
+            if fit.is_none_or(|fit| self.expected(closure, &fit, background) > most) {
+                unconfirmed.push(closure.index);
             }
         }
-        lone
+        unconfirmed
     }
 
     /// The rejected closures that the accepted edges confirm; only the best of them as long as these may change what is foreseen.
@@ -354,7 +377,7 @@ impl<'g> Weighing<'g> {
             let one = &plausible[*first];
             let mut all = self.expected(&self.closures[one.at], &one.fit, background);
             let mut group = vec![*first];
-            loop {
+            while group.len() < MAX_GROUP {
                 // What repeats a measurement confirms nothing.
                 let edge = |at: &usize| &self.graph.edges()[self.closures[plausible[*at].at].index];
                 let others = order
@@ -430,7 +453,6 @@ impl<'g> Weighing<'g> {
         }
         groups.retain(|group| group.len() > 1);
         groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
-        groups.truncate(MAX_TRIALS);
         groups
     }
 
@@ -441,20 +463,21 @@ impl<'g> Weighing<'g> {
             self.weights[*index] = 1.0;
         }
         self.fit(descent, group);
-        self.rounds(descent);
-        if self.truncated_cost() >= before.0 {
+        if self.truncated_cost() < before.0 {
+            self.settle(descent);
+        } else {
             (_, self.weights, self.poses) = before;
         }
     }
 
     /// A true closure costs its chi squared, a false one the largest that a true one may have.
-    fn truncated_cost(&self) -> f64 {
+    pub(crate) fn truncated_cost(&self) -> f64 {
         let rejected = self.weights.iter().filter(|weight| **weight == 0.0).count();
         chi_squared(self.graph, &self.poses, &self.weights) + self.settings.max_chi_squared * rejected as f64
     }
 
-    /// The rejected closures that lie within chi squared of what is foreseen.
-    pub(crate) fn undecided(&mut self) -> Vec<usize> {
+    /// The rejected closures that are plausible, and the accepted ones that were not accepted at once. Ascending.
+    pub(crate) fn doubtful(&mut self) -> Vec<usize> {
         let Some(pattern) = pattern(self.graph, &self.weights) else {
             return Vec::new();
         };
@@ -463,7 +486,11 @@ impl<'g> Weighing<'g> {
             return Vec::new();
         };
         let plausible = self.plausible(&mut halves);
-        plausible.iter().map(|one| self.closures[one.at].index).collect()
+        let background = self.background(&plausible);
+        let mut doubtful = self.unconfirmed(&mut halves, &background, ACCEPTED_AT_ONCE, |_| true);
+        doubtful.extend(plausible.iter().map(|one| self.closures[one.at].index));
+        doubtful.sort_unstable();
+        doubtful
     }
 }
 

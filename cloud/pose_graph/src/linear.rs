@@ -161,7 +161,7 @@ impl<const B: usize> Pivots<B> {
             for row in at + 1..B {
                 let factor = block[row][at] / pivot;
                 pivots.below[at][row] = factor;
-                for column in &mut block[row..] {
+                for column in block.iter_mut().skip(row) {
                     column[row] -= factor * column[at];
                 }
             }

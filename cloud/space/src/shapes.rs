@@ -1,7 +1,9 @@
 //! Shape clearance. The distance of discs, moved discs and convex polygons to the nearest occupied square, in closed form.
 //!
 //! Candidates come from bit scans of the rows that the shape can reach; each is measured exactly. The bits follow the map tile by tile and
-//! need no tree; `cargo bench -p zenav-space --bench space` compares them with parry's tree over the same squares.
+//! need no tree. A footprint is measured 0.9 to 1.7 times as fast as by parry's tree over the same squares; where squares join to few
+//! boxes, parry's tree over those is 1.7 to 4 times as fast as this, but it is built anew for every change
+//! (`cargo bench -p zenav-space --bench space`).
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::grid::GridSpec;

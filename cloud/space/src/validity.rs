@@ -1,8 +1,7 @@
 //! State validity. Whether the true footprint fits at a pose, along a segment, or along a sweep of poses.
 //!
 //! Every check is exact against the closed squares of occupied cells: candidates come from bit scans of the rows that the shape can
-//! reach, and each candidate is measured in closed form. There is no step size. `cargo bench -p zenav-space --bench space` compares a pose's
-//! clearance, and whether it is valid, with parry's queries.
+//! reach, and each candidate is measured in closed form (`shapes`). There is no step size.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};

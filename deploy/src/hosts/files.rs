@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 
 use super::layout::Layout;
-use super::{compose, kubernetes, readme, systemd, zenoh};
+use super::{compose, kubernetes, readme, systemd, zenoh_settings};
 use crate::config::Role;
 
 /// What to render for.
@@ -81,7 +81,7 @@ pub fn render(layout: &Layout<'_>, etc: &[String], target: Target) -> Result<Fil
     }
     if wanted(Target::Zenoh) {
         for host in &layout.hosts {
-            for (member, text) in zenoh::settings(layout, host) {
+            for (member, text) in zenoh_settings::of_host(layout, host) {
                 files.insert(format!("hosts/{}/zenoh/{member}.json5", host.name), text);
             }
         }

@@ -30,7 +30,7 @@ pub mod running;
 mod systemd;
 #[cfg(test)]
 mod tests;
-mod zenoh;
+mod zenoh_settings;
 
 pub use command::{DeployArgs, deploy};
 pub(crate) use named_files::images;

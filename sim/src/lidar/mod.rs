@@ -10,7 +10,7 @@
 //! (`hidden`), so that rooms behind a wall cost nothing.
 //!
 //! Sources of the ideas: z-buffering, Catmull 1974, and its hierarchical form, Greene, Kass and Miller 1993, on the circle of directions.
-//! Equal to parry's ray cast beam by beam, and 8 to 32 times as fast (`cargo bench -p zenav-sim --bench lidar`).
+//! Equal to parry's ray cast beam by beam, and 7 to 26 times as fast (`cargo bench -p zenav-sim --bench lidar`).
 
 mod angle;
 mod hidden;

@@ -100,6 +100,11 @@ const CORES: &[&str] = &[
 const EXEMPT: &[(&str, &[Effect], &str)] = &[
     ("protocol/src/bus/", &[Network, Clock], "the bus itself"),
     (
+        "protocol/src/bus/link.rs",
+        &[Threads],
+        "a thread of Zenoh's waits until its routers have noticed that a link is gone",
+    ),
+    (
         "protocol/src/bus/threads.rs",
         &[Process],
         "starts its process anew with what Zenoh reads from the environment",

@@ -9,6 +9,7 @@
 
 mod answer;
 mod approach;
+mod barred;
 mod begin;
 mod covered_goal;
 mod request;

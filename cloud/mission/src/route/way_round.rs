@@ -15,7 +15,8 @@ use zenav_protocol::messages::GoalPoint;
 use zenav_smoothing::Limits;
 
 use super::approach::PLAN_STEP;
-use super::waiting::{RETRY, Waiting, path_of, patience, reach};
+use super::barred::{RETRY, path_of, patience};
+use super::waiting::{Waiting, reach};
 use super::{Route, Search, Searching, Stage};
 use crate::context::Context;
 use crate::io::{Answer, NoAnswer};

@@ -8,7 +8,8 @@ use std::fmt::Write as _;
 use zenav_fixtures::Row;
 use zenav_tests::provenance::output;
 
-use crate::page::{figure, ratio, read, seconds};
+use crate::RUNS;
+use crate::page::{figure, own_figure, ratio, read, seconds, section};
 
 /// Title of the section.
 pub const TITLE: &str = "Beside the first figures";
@@ -116,18 +117,30 @@ pub fn table(first: &str, now: &str) -> String {
     );
     for (run, what, place) in COMPARED {
         let cell = |found: Option<String>| found.unwrap_or_else(|| "-".to_owned());
-        let (first, now) = (cell(place.on(first, true)), cell(place.on(now, false)));
-        let _ = writeln!(table, "| {run} | {what} | {first} | {now} |");
+        let at_first = cell(place.on(first, true));
+        let now = match place.on(now, false) {
+            Some(_) if origin(now, run).is_some_and(|origin_now| origin(first, run) == Some(origin_now)) => {
+                "not run again".to_owned()
+            }
+            found => cell(found),
+        };
+        let _ = writeln!(table, "| {run} | {what} | {at_first} | {now} |");
     }
     table
+}
+
+/// Commit and machine of a run's section.
+fn origin<'a>(page: &'a str, run: &str) -> Option<&'a str> {
+    let title = RUNS.iter().find(|known| known.name == run)?.title;
+    section(page, title)?.lines().find(|line| line.starts_with("commit "))
 }
 
 impl Figure {
     /// The figure on a page: that of the first figures, or today's.
     fn on(&self, page: &str, is_first: bool) -> Option<String> {
         match *self {
-            Of(name) => row(page, name).map(|row| format!("{} {}", figure(row.value), row.unit).trim().to_owned()),
-            Self::Word(place) => word(page, place).map(figure),
+            Of(name) => row(page, name).map(|row| format!("{} {}", own_figure(&row), row.unit).trim().to_owned()),
+            Self::Word(place) => word(page, place),
             Times(theirs, ours) => {
                 let ours = row(page, ours)?;
                 let beside = || {
@@ -136,8 +149,11 @@ impl Figure {
                 };
                 ratio(&ours).or_else(beside).map(figure)
             }
-            WordTimes(theirs, ours) => Some(figure(word(page, theirs)? / word(page, ours)?)),
-            Moved(first, now) => word(page, if is_first { first } else { now }).map(figure),
+            WordTimes(theirs, ours) => {
+                let number = |place| word(page, place)?.parse::<f64>().ok();
+                Some(figure(number(theirs)? / number(ours)?))
+            }
+            Moved(first, now) => word(page, if is_first { first } else { now }),
         }
     }
 }
@@ -147,12 +163,12 @@ fn row(page: &str, name: &str) -> Option<Row> {
     page.lines().filter_map(read).find(|row| row.name.starts_with(name))
 }
 
-/// A number in a text.
-fn word(page: &str, (begin, after): Word) -> Option<f64> {
+/// A number in a text, as it stands there.
+fn word(page: &str, (begin, after): Word) -> Option<String> {
     let begin = words(begin);
     let line = page.lines().map(words).find(|line| line.starts_with(&begin))?;
     let found = line.get(begin.len() + after)?.trim_matches(['(', ')', ',']);
-    found.split('/').next()?.parse().ok()
+    found.split('/').next().map(str::to_owned)
 }
 
 /// The words of a line, or of a table's row.
@@ -165,20 +181,21 @@ fn words(line: &str) -> Vec<&str> {
 mod tests {
     use super::*;
 
-    const FIRST: &str = "| tick/nodes/1000 | 10.3 | us |  |  |  |\n| time law/sweep/1000 | 25.0 | us |  |  |  |\n\
+    const FIRST: &str = "\n## Behaviour trees\n\ncommit 1\n\n| tick/nodes/1000 | 10.3 | us |  |  |  |\n\n## Time laws\n\ncommit 1\n\n| time law/sweep/1000 | 25.0 | us |  |  |  |\n\
                          | time law/linear program/1000 | 10.0 | ms |  |  |  |\n\
                          caves   zenav rrt_connect   30/30   0.5   1.2\ncaves   ompl rrt_connect   30/30   20.0   30\n\
                          | BARN, 50 worlds, Jackal, no map, 100 ms of cloud delay | 50 of 50 reached, 0 collisions, mean score 0.494 (0.5 is |\n";
-    const NOW: &str = "| time law/sweep/1000 | 30.0 | us | linear program | 15000 | 500 |\n| tiago | 200 | 199 | x |\n\
+    const NOW: &str = "\n## Behaviour trees\n\ncommit 1\n\n| tick/nodes/1000 | 10.3 | us |  |  |  |\n\n## Time laws\n\ncommit 2\n\n| time law/sweep/1000 | 30.0 | us | linear program | 15000 | 500 |\n| tiago | 200 | 199 | x |\n\
                        S1 BARN, noise 1 cm  zenav  50  50  50  0  0  0  1.20  0.01  0.500  worst\n";
 
     #[test]
     fn figures_are_found_where_they_stand() {
         let table = table(FIRST, NOW);
         for line in [
-            "| tick | tree of 1,000 nodes | 10.3 us | - |",
+            "| tick | tree of 1,000 nodes | 10.3 us | not run again |",
+            "| tick | Nav2's default tree | - | - |",
             "| timing | 1,000 points, linear program over sweep | 400 | 500 |",
-            "| sampling | caves, RRT-Connect, OMPL's time over ours | 40 | - |",
+            "| sampling | caves, RRT-Connect, OMPL's time over ours | 40.0 | - |",
             "| smoothing | TIAGo, smoothed of 200 | - | 199 |",
             "| drive_s1 | BARN's score in 50 worlds, at most 0.5 | 0.494 | 0.500 |",
         ] {

@@ -11,7 +11,7 @@ use crate::{RUNS, command_line, earlier};
 const HEADER: &str = "| what | zenav | unit | peer | its figure | ratio |\n|---|---|---|---|---|---|\n";
 
 /// The section of a run on an earlier page, without its title.
-fn section<'a>(page: &'a str, title: &str) -> Option<&'a str> {
+pub fn section<'a>(page: &'a str, title: &str) -> Option<&'a str> {
     let (_, after) = page.split_once(&format!("\n## {title}\n"))?;
     let end = after.find("\n## ").or_else(|| after.find("\nNot run here:"));
     Some(&after[..end.unwrap_or(after.len())])
@@ -30,7 +30,9 @@ pub fn page(folder: &Path, last: &str, first: Option<&str>) -> String {
         let Ok(output) = std::fs::read_to_string(folder.join(format!("{}.txt", run.name))) else {
             match section(last, run.title) {
                 Some(section) => {
-                    let _ = write!(page, "\n## {}\n{section}", run.title);
+                    let again = |line: &str| read(line).map_or_else(|| line.to_owned(), |row| written(&row));
+                    let lines: Vec<String> = section.lines().map(again).collect();
+                    let _ = write!(page, "\n## {}\n{}\n", run.title, lines.join("\n"));
                 }
                 None => missing.push(run.name),
             }
@@ -78,8 +80,11 @@ fn written(row: &Row) -> String {
         Some((peer, value)) => (peer.as_str(), figure(*value), figure(ratio(row).unwrap_or(f64::NAN))),
         None => ("", String::new(), String::new()),
     };
-    let Row { name, value, unit, .. } = row;
-    format!("| {name} | {} | {unit} | {peer} | {theirs} | {ratio} |", figure(*value))
+    let Row { name, unit, .. } = row;
+    format!(
+        "| {name} | {} | {unit} | {peer} | {theirs} | {ratio} |",
+        own_figure(row)
+    )
 }
 
 /// A row from a line that [`written`] wrote, to its digits.
@@ -106,9 +111,18 @@ pub fn ratio(row: &Row) -> Option<f64> {
     })
 }
 
-/// Three significant digits; whole numbers in full.
+/// Our figure; a count in full.
+pub fn own_figure(row: &Row) -> String {
+    if row.unit.is_empty() && row.value.fract() == 0.0 {
+        row.value.to_string()
+    } else {
+        figure(row.value)
+    }
+}
+
+/// Three significant digits.
 pub fn figure(value: f64) -> String {
-    if value.fract() == 0.0 || !value.is_finite() {
+    if value == 0.0 || !value.is_finite() {
         return value.to_string();
     }
     let digits = 2 - value.abs().log10().floor() as i32;
@@ -122,7 +136,7 @@ fn rows(output: &str) -> Vec<Row> {
     for line in output.lines() {
         if let Some(row) = Row::parse(line) {
             found.push(row);
-        } else if let Some(pair) = Pair::parse(line) {
+        } else if let Some(pair) = Pair::parse(line).filter(|pair| !pairs.contains(pair)) {
             pairs.push(pair);
         } else if let Some((name, times)) = line.split_once("time:") {
             let name = if name.trim().is_empty() {
@@ -140,7 +154,7 @@ fn rows(output: &str) -> Vec<Row> {
         let own = pairs.iter().filter(|pair| pair.ours == row.name);
         let with_peer = own.filter_map(|pair| {
             let theirs = found.iter().find(|other| other.name == pair.theirs)?;
-            let theirs = theirs.value * seconds(&theirs.unit)? / seconds(&row.unit)?;
+            let theirs = theirs.value * (seconds(&theirs.unit)? / seconds(&row.unit)?);
             Some(row.clone().beside(&pair.peer, theirs))
         });
         with_peer.collect()
@@ -193,11 +207,11 @@ mod tests {
 
     #[test]
     fn peers_stand_beside_ours_in_our_unit() {
-        let output = "rays/ours time: [1 us 2 us 3 us]\nrays/parry time: [1 ms 4 ms 9 ms]\nrays/alone time: [5 ns 5 ns 5 ns]\n\
+        let output = "rays/ours time: [1 ms 2 ms 3 ms]\nrays/parry time: [1 s 4 s 9 s]\nrays/alone time: [5 ns 5 ns 5 ns]\n\
                       pair: rays/ours | parry | rays/parry\npair: rays/ours | nobody | rays/nobody\n";
         let found = rows(output);
         let expected = [
-            Row::new("rays/ours", 2.0, "us").beside("parry", 4000.0),
+            Row::new("rays/ours", 2.0, "ms").beside("parry", 4000.0),
             Row::new("rays/alone", 5.0, "ns"),
         ];
         assert_eq!(found, expected);
@@ -223,11 +237,12 @@ mod tests {
             (123_456.7, "123457"),
             (0.001_234, "0.00123"),
             (0.0, "0"),
-            (20.0, "20"),
+            (20.0, "20.0"),
             (98.76, "98.8"),
         ] {
             assert_eq!(figure(value), text);
         }
+        assert_eq!(own_figure(&Row::new("seeds that succeed", 20.0, "")), "20");
     }
 
     #[test]

@@ -13,7 +13,7 @@ use crate::config::{Profile, Role};
 
 /// Settings for each member of the fleet in whose name a program may run on a host, by the member: a client of the routers that the host's
 /// parts dial. Nobody but a router has a router's rights.
-pub(super) fn settings(layout: &Layout<'_>, host: &Host) -> Vec<(String, String)> {
+pub(super) fn of_host(layout: &Layout<'_>, host: &Host) -> Vec<(String, String)> {
     let of_parts = host.parts.iter().map(|part| layout.identity(host, part));
     let operator = (host.role == Role::Operator).then(|| format!("operator.{}", host.name));
     let members: BTreeSet<String> = of_parts
