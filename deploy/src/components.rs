@@ -145,6 +145,7 @@ impl Parts {
     fn edge_bus(&self, deployment: &Deployment, id: &Id, section: &RobotSection) -> BusConfig {
         BusConfig {
             listen: vec![section.listen.clone()],
+            is_narrow: true,
             ..self.bus(deployment, &format!("edge-{id}"))
         }
     }

@@ -20,8 +20,6 @@ use crate::failure::Failure;
 use crate::output::{self, listed};
 use crate::tasks;
 
-// For `bench`.
-pub(crate) use crate::arguments::{finite, whole_in};
 pub use zenav_protocol::bus::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 
 /// How long to look for a robot that is not found at once: it may still be starting.

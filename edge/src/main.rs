@@ -285,6 +285,7 @@ async fn run(
         retry: true,
         security: security.clone(),
         namespace: arguments.namespace,
+        is_narrow: true,
     };
     let gives_the_time = here.is_some();
     let (bus, started) = match here {

@@ -31,8 +31,6 @@ const LEAST_TRAVEL: f64 = 0.12;
 const SLOWS_DOWN: f64 = 0.1;
 /// Two obstacles this near to one another may be taken for one, m.
 const MAY_BE_ONE: f64 = 0.6;
-/// A track that has become wider by this may be two obstacles, m.
-const GROWN: f64 = 0.1;
 /// Scans in which its place was seen to be empty, after which a track ends.
 const MOST_MISSES: u32 = 3;
 /// Neighbouring returns belong together up to this distance, m, and this many times their spacing.
@@ -66,8 +64,6 @@ pub struct Track {
     pub radius: f64,
     /// Whether it was ever seen whole: before that its radius is a guess.
     seen_whole: bool,
-    /// The least radius that it had when it was seen whole, m.
-    narrowest: f64,
     /// When it was seen first.
     pub born: Stamp,
     /// Stamp of the scan that saw it last.
@@ -102,7 +98,6 @@ impl Track {
             variance: [0.0; 3],
             radius,
             seen_whole: true,
-            narrowest: radius,
             born: stamp,
             seen: stamp,
             stamp,
@@ -121,12 +116,6 @@ impl Track {
     #[must_use]
     pub(crate) fn sure_radius(&self) -> f64 {
         if self.seen_whole { self.radius } else { 0.0 }
-    }
-
-    /// Whether it has become so wide that it may be two obstacles that were two tracks before.
-    #[must_use]
-    pub(crate) fn may_be_two(&self) -> bool {
-        self.radius > self.narrowest + GROWN
     }
 
     /// Whether it is a robot that tells its course.
@@ -168,7 +157,6 @@ impl Track {
             variance: [settings.position_noise.powi(2), 0.0, START_VELOCITY_VARIANCE],
             radius,
             seen_whole: !seen.is_cut(),
-            narrowest: f64::INFINITY,
             born: stamp,
             seen: stamp,
             stamp: scan.met(0.5 * (seen.beams.0 + seen.beams.1) as f64),
@@ -275,9 +263,6 @@ impl Track {
         };
         self.radius += share * (seen.radius - self.radius);
         self.seen_whole |= !seen.is_cut();
-        if !seen.is_cut() && self.hits >= SETTLED {
-            self.narrowest = self.narrowest.min(self.radius);
-        }
         self.seen = scan.stamp;
         self.hits += 1;
         self.evidence += u32::from(seen.is_moving());

@@ -148,6 +148,7 @@ pub(crate) fn encode_cbor<T: Serialize + ?Sized>(message: &T) -> Result<Vec<u8>,
 }
 
 /// An encoded message, if a receiver decodes that many bytes.
+#[cfg(feature = "bus")]
 pub(crate) fn within(bytes: Vec<u8>, max_bytes: usize) -> Result<Vec<u8>, CodecError> {
     check_size(&bytes, max_bytes)?;
     Ok(bytes)

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Point2, Rotation2, Vector2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_scan_matching::{Refinable, Search, Window, floored, search_among, turned};
 
-use crate::evidence::{Beam, Evidence, beam, evidence};
+use crate::evidence::{Beam, Evidence, beam, evidence_elsewhere};
 use crate::known_map::KnownMap;
 use crate::settings::{GlobalSettings, LocalisationSettings};
 use crate::view::Sight;
@@ -157,14 +157,15 @@ pub(crate) fn find_in_view(map: &KnownMap, view: &[Sight], settings: &Localisati
         });
     }
     places.sort_by(|a, b| b.evidence.agreeing.total_cmp(&a.evidence.agreeing));
-    let Some(best) = places.first().copied() else {
+    let is_good = |place: &Hypothesis| {
+        place.evidence.agreeing >= global.agrees && place.evidence.points >= settings.evidence.least_points as usize
+    };
+    let Some(best) = places.first().copied().filter(is_good) else {
         return if is_exact { Found::Nowhere } else { Found::OutOfBudget };
     };
-    if best.evidence.agreeing < global.agrees || best.evidence.points < settings.evidence.least_points as usize {
-        return if is_exact { Found::Nowhere } else { Found::OutOfBudget };
-    }
     places.retain(|place| place.evidence.agreeing > best.evidence.agreeing - global.margin);
-    if places.len() > 1 {
+    // If not all places were examined, the best one is no measure for the others.
+    if places.len() > 1 && is_exact {
         let of_best = ends(map, view, best.pose, &scan, settings);
         let is_rival = |pose: Pose2| !explains_less(&ends(map, view, pose, &scan, settings), &of_best);
         places.retain(|place| place.pose == best.pose || is_rival(place.pose));
@@ -172,12 +173,10 @@ pub(crate) fn find_in_view(map: &KnownMap, view: &[Sight], settings: &Localisati
     for place in places.iter_mut().take(FACED) {
         place.pose = at_near_faces(map, view, &scan, place.pose, settings);
     }
-    if places.len() > 1 {
-        return Found::Ambiguous(places);
-    }
-    match places.first() {
-        Some(place) if is_exact => Found::Unique(*place),
-        _ => Found::OutOfBudget,
+    match places[..] {
+        [place] if is_exact => Found::Unique(place),
+        [] | [_] => Found::OutOfBudget,
+        _ => Found::Ambiguous(places),
     }
 }
 
@@ -241,7 +240,7 @@ fn weigh(map: &KnownMap, view: &[Sight], map_from_base: Pose2, settings: &Locali
     let mut all = Evidence::default();
     let (mut agreeing, mut through) = (0.0, 0.0);
     for sight in view {
-        let one = evidence(map, sight.laser, &sight.points, map_from_base, &settings.evidence);
+        let one = evidence_elsewhere(map, sight.laser, &sight.points, map_from_base, &settings.evidence);
         let points = one.points as f64;
         all.points += one.points;
         agreeing += one.agreeing * points;

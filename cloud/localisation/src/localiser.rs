@@ -14,7 +14,7 @@ use crate::faces::Faces;
 use crate::global::{Found, Hypothesis, find, find_in_view, is_one_place};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
-use crate::view::View;
+use crate::view::{View, is_apart};
 
 /// Most points used by a search around the expected pose.
 const SEARCH_POINTS: usize = 120;
@@ -28,9 +28,11 @@ const JUMP: f64 = 16.0;
 const WIDER: (f64, f64) = (3.0, 3.0);
 /// Most places returned by such a search.
 const RIVALS: usize = 8;
-/// A place with which at least this share of what is seen agrees is taken at once; in a crowd and among moved furniture, a second search
+/// A place with which at least this share of what is seen agrees is taken at once; in a crowd and among moved furniture, another search
 /// has to confirm it.
 const SURE: f64 = 0.9;
+/// If the robot does not move, a later search confirms a place only after this time, s: an earlier one would use the same view.
+const LATER: f64 = 2.0;
 /// Interval between two global searches, s.
 const SEARCH_PERIOD: f64 = 0.5;
 /// Pause until the whole map is searched again while the scans contradict the place; it doubles from the first to the second value, s.
@@ -82,8 +84,8 @@ pub struct Localiser {
     evidence: Evidence,
     /// The scans of a lost robot.
     view: View,
-    /// A place that the last search found, with the odometry there, which the next one has to confirm.
-    hoped: Option<(Pose2, Pose2)>,
+    /// A place that another search has to confirm; all searches since have found it, too.
+    hoped: Option<Hope>,
     faces: Faces,
 }
 
@@ -97,6 +99,15 @@ struct Last {
     matched: Option<Pose2>,
     /// Odometry and pose at the last match that odometry was compared with, or where the pose was set.
     held: (Pose2, Pose2),
+}
+
+/// A place that a search found.
+#[derive(Clone, Copy, Debug)]
+struct Hope {
+    stamp: Stamp,
+    /// The pose by dead reckoning there.
+    reckoned: Pose2,
+    place: Pose2,
 }
 
 /// A matched scan.
@@ -406,17 +417,23 @@ impl Localiser {
             is_found_anew: false,
         };
         self.last = Some(now);
-        self.view.keep(now.odom_from_base, laser, seen);
+        if seen.len() >= self.settings.evidence.least_points as usize {
+            self.view.keep(now.pose, laser, seen);
+        }
         if !self.is_search_due(now.stamp) {
             return located;
         }
         self.searched_at = Some(now.stamp);
-        let view = self.view.joined(now.odom_from_base, laser, seen);
+        let view = self.view.joined(now.pose, laser, seen);
         let hoped = self.hoped.take();
         match find_in_view(&self.map, &view, &self.settings) {
-            Found::Unique(place) if !self.is_sure(&place, hoped, now.odom_from_base) => {
+            Found::Unique(place) if !self.is_sure(&place, hoped, &now) => {
                 self.health = Health::Searching;
-                self.hoped = Some((now.odom_from_base, place.pose));
+                self.hoped = Some(self.same_hope(hoped, &place, &now).unwrap_or(Hope {
+                    stamp: now.stamp,
+                    reckoned: now.pose,
+                    place: place.pose,
+                }));
             }
             Found::Unique(place) => {
                 self.health = Health::Tracking;
@@ -444,9 +461,7 @@ impl Localiser {
             Found::Nowhere | Found::OutOfBudget => {
                 self.health = Health::Lost;
                 // Scans of a robot that is being carried do not belong together.
-                if self.view.is_wide() {
-                    self.view.clear();
-                }
+                self.view.clear();
             }
         }
         located.health = self.health.clone();
@@ -454,12 +469,21 @@ impl Localiser {
         located
     }
 
-    /// Whether a place that was found is taken: if most of what is seen agrees with the map, or the search before found it, too.
-    fn is_sure(&self, place: &Hypothesis, hoped: Option<(Pose2, Pose2)>, odom_from_base: Pose2) -> bool {
-        let is_confirmed = hoped.is_some_and(|(odometry, pose)| {
-            is_one_place(pose * (odometry.inverse() * odom_from_base), place.pose, &self.settings)
+    /// Whether a place that was found is taken: if most of what is seen agrees with the map, or if an earlier search found it, too, with
+    /// another view or well before.
+    fn is_sure(&self, place: &Hypothesis, hoped: Option<Hope>, now: &Last) -> bool {
+        let is_confirmed = self.same_hope(hoped, place, now).is_some_and(|hope| {
+            is_apart(hope.reckoned.inverse() * now.pose) || now.stamp.secs_since(hope.stamp) >= LATER
         });
         is_confirmed || place.evidence.agreeing >= SURE
+    }
+
+    /// The hope, if it is for the place that was found.
+    fn same_hope(&self, hoped: Option<Hope>, place: &Hypothesis, now: &Last) -> Option<Hope> {
+        hoped.filter(|hope| {
+            let expected = hope.place * (hope.reckoned.inverse() * now.pose);
+            is_one_place(expected, place.pose, &self.settings)
+        })
     }
 
     /// Whether a lost robot may be searched for again at this stamp.

@@ -45,6 +45,8 @@ pub struct LeaseClient {
     grant: Option<Grant>,
     /// The request under way, and when it was sent.
     asking: Option<(Ticket, Stamp)>,
+    /// Whether the robot answered the last request that ended since the lease was lost.
+    is_answered: bool,
     next_ask: Stamp,
     asked: u64,
     beats: u64,
@@ -84,6 +86,7 @@ impl LeaseClient {
             incarnation,
             grant: None,
             asking: None,
+            is_answered: false,
             next_ask: Stamp::ZERO,
             asked: 0,
             beats: 0,
@@ -200,6 +203,7 @@ impl LeaseClient {
         self.grant = None;
         self.why_not = why;
         self.next_ask = now;
+        self.is_answered = false;
     }
 
     /// Requests the lease if it is not held; returns a heartbeat if one is due. `echo` is the robot's time, as far as known.
@@ -249,7 +253,8 @@ impl LeaseClient {
             };
             self.asking = Some((asks.ask(Ask::Lease(request)), now));
         }
-        let is_quiet = self.asking.is_some_and(|(_, since)| now.secs_since(since) > QUIET);
+        // What it answered over a slow link holds until the next request ends.
+        let is_quiet = !self.is_answered && self.asking.is_some_and(|(_, since)| now.secs_since(since) > QUIET);
         if is_quiet && self.why_not != UNANSWERED {
             UNANSWERED.clone_into(&mut self.why_not);
         }
@@ -273,6 +278,7 @@ impl LeaseClient {
     fn take(&mut self, now: Stamp, answer: Result<Answer, NoAnswer>) {
         self.next_ask = now.plus_secs(RETRY);
         self.heard_out = true;
+        self.is_answered = !matches!(answer, Err(NoAnswer::Silent(_)));
         match answer {
             Ok(Answer::Lease(LeaseReply {
                 epoch,
@@ -303,7 +309,12 @@ impl LeaseClient {
                 self.deposed |= matches!(refusal, Refusal::NotCaughtUp { .. });
                 self.why_not = refusal.to_string();
             }
-            Err(NoAnswer::Silent(_)) => UNANSWERED.clone_into(&mut self.why_not),
+            // A request that the bus refused at once, or an answer that is none; one that ran out was told as it grew old.
+            Err(NoAnswer::Silent(why)) => {
+                if self.why_not != UNANSWERED {
+                    self.why_not = why;
+                }
+            }
         }
     }
 }
@@ -377,6 +388,39 @@ mod tests {
             client.step(Stamp::from_secs(now), HEARD, &mut asks);
             assert_eq!(said(&client), now > 6.05 + QUIET, "{now}: {}", client.why_not());
         }
+    }
+
+    #[test]
+    fn what_a_robot_answers_over_a_slow_link_is_not_called_silence() {
+        let (mut client, mut asks) = (LeaseClient::new("me", 3, None, Leadership::default()), Asks::new(3));
+        let held = Refusal::Held {
+            holder: "anna".into(),
+            role: LeaseRole::Operator,
+            epoch: 8,
+            leader: None,
+        };
+        let mut due: Vec<(f64, Ticket)> = Vec::new();
+        for tenth in 0..200 {
+            let now = 1.0 + 0.1 * f64::from(tenth);
+            due.retain(|(at, ticket)| {
+                let is_due = *at <= now;
+                if is_due {
+                    asks.answer(*ticket, Err(NoAnswer::Refused(held.clone())));
+                }
+                !is_due
+            });
+            client.step(Stamp::from_secs(now), HEARD, &mut asks);
+            due.extend(asks.take_new().into_iter().map(|(ticket, _)| (now + 5.0, ticket)));
+            if now > 6.2 {
+                assert_eq!(client.why_not(), "anna holds the lease", "{now}");
+            }
+        }
+        let (mut client, mut asks) = (LeaseClient::new("me", 3, None, Leadership::default()), Asks::new(3));
+        client.step(Stamp::from_secs(1.0), HEARD, &mut asks);
+        let (ticket, _) = asks.take_new().pop().unwrap();
+        asks.answer(ticket, Err(NoAnswer::Silent("nobody may ask".into())));
+        client.step(Stamp::from_secs(1.1), HEARD, &mut asks);
+        assert_eq!(client.why_not(), "nobody may ask");
     }
 
     #[test]

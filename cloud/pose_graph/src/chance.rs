@@ -11,6 +11,9 @@ use nalgebra::{Matrix3, Vector3};
 
 /// The density is taken within distances that hold at least this share of the false closures.
 const LEAST_SHARE: f64 = 0.125;
+/// The same for at least this number of them (all, if there are fewer), and the distance is at least this, m: a single false closure near
+/// zero tells no density.
+const LEAST: (usize, f64) = (8, 1.0);
 
 /// What false closures measure.
 #[derive(Clone, Copy, Debug)]
@@ -25,15 +28,17 @@ impl Chance {
     /// From the distances, m, between where false closures see a node and where it is. Their yaws are taken to be anything.
     pub(crate) fn of(mut misses: Vec<f64>) -> Self {
         misses.sort_by(f64::total_cmp);
-        let first = (misses.len() as f64 * LEAST_SHARE) as usize;
+        let share = (misses.len() as f64 * LEAST_SHARE) as usize;
+        let first = share.max(LEAST.0 - 1).min(misses.len().saturating_sub(1));
         let mut chance = Self {
             density: 0.0,
             reach: f64::INFINITY,
         };
         for (at, reach) in misses.iter().enumerate().skip(first) {
+            let reach = reach.max(LEAST.1);
             let density = (at + 1) as f64 / (TAU * PI * reach * reach);
             if density > chance.density {
-                chance = Self { density, reach: *reach };
+                chance = Self { density, reach };
             }
         }
         chance
@@ -54,7 +59,7 @@ impl Chance {
         let plane = 1.0 / (self.reach * self.reach);
         let bounded = information + Matrix3::from_diagonal(&Vector3::new(plane, plane, 3.0 / (PI * PI)));
         let root = bounded.determinant().max(f64::MIN_POSITIVE).sqrt();
-        self.density * 4.0 / 3.0 * PI * chi_squared.powf(1.5) / root
+        self.density * 4.0 / 3.0 * PI * chi_squared.max(0.0).powf(1.5) / root
     }
 }
 
@@ -87,6 +92,15 @@ mod tests {
             Chance::of(misses).expected(3.0, &information(0.2, 0.1))
         };
         assert!(expected(1.0) > 50.0 * expected(10.0));
+    }
+    #[test]
+    fn a_single_false_closure_near_zero_tells_no_density() {
+        let expected = |misses: &[f64]| Chance::of(misses.to_vec()).expected(2.0, &information(0.2, 0.1));
+        let near = expected(&[0.0]);
+        assert!(near > 0.0 && near < 0.01, "{near}");
+        assert!(expected(&[0.0, 20.0, 20.0]) < near, "the nearest of few decides");
+        // Rounding may leave a chi squared just below zero.
+        assert_eq!(Chance::of(vec![3.0]).expected(-1e-18, &information(0.2, 0.1)), 0.0);
     }
     #[test]
     fn without_false_closures_nothing_is_chance() {

@@ -10,11 +10,15 @@ use crate::graph::{Edge, EdgeKind, PoseGraph};
 use crate::settings::RobustSettings;
 use crate::uncertain::Uncertain;
 
+/// A closure is compared with at most this many of those that follow it in the graph, so that closures by the thousand between the same few
+/// nodes take neither hours nor gigabytes.
+const MAX_OTHERS: usize = 100;
+
 /// Whether each edge has support: odometry always; a closure if it agrees with odometry alone within the window, or with another closure
 /// around a cycle of at most twice the window's odometry steps. Closures that are equal in all numbers are one measurement written twice, and
 /// do not support each other.
 ///
-/// Cost: closures x (window + closures in the window).
+/// Cost: closures x (window + closures in the window). Each closure is compared with at most a hundred of those that follow it.
 ///
 /// ```
 /// # use zenav_pose_graph::{RobustSettings, g2o, supported};
@@ -33,13 +37,13 @@ pub fn supported(graph: &PoseGraph, settings: &RobustSettings) -> Vec<bool> {
         .iter()
         .map(|edge| edge.kind == EdgeKind::Odometry)
         .collect();
-    for Cycle { closures, end } in cycles(graph, settings.window) {
+    for_each_cycle(graph, settings.window, |Cycle { closures, end }| {
         if end.chi_squared() <= settings.max_chi_squared {
             for index in closures {
                 is_supported[index] = true;
             }
         }
-    }
+    });
     is_supported
 }
 
@@ -50,9 +54,9 @@ pub(crate) struct Cycle {
     pub(crate) end: Uncertain,
 }
 
-/// The cycles through a closure and odometry within the window, and those through two closures whose ends are within the window of each
-/// other.
-pub(crate) fn cycles(graph: &PoseGraph, window: u32) -> Vec<Cycle> {
+/// Visits the cycles through a closure and odometry within the window, and those through two closures whose ends are within the window of
+/// each other ([`MAX_OTHERS`]).
+pub(crate) fn for_each_cycle(graph: &PoseGraph, window: u32, mut visit: impl FnMut(Cycle)) {
     let edges = graph.edges();
     let mut odometry: Vec<Vec<usize>> = vec![Vec::new(); graph.poses().len()];
     let mut closures: Vec<Vec<usize>> = vec![Vec::new(); graph.poses().len()];
@@ -65,7 +69,6 @@ pub(crate) fn cycles(graph: &PoseGraph, window: u32) -> Vec<Cycle> {
         at[edge.from].push(index);
         at[edge.to].push(index);
     }
-    let mut cycles = Vec::new();
     for (index, edge) in edges
         .iter()
         .enumerate()
@@ -74,7 +77,7 @@ pub(crate) fn cycles(graph: &PoseGraph, window: u32) -> Vec<Cycle> {
         let own = Uncertain::of(edge);
         let near_from = around(edge.from, edges, &odometry, window);
         if let Some(along) = near_from.get(&edge.to) {
-            cycles.push(Cycle {
+            visit(Cycle {
                 closures: [index; 2],
                 end: own.then(&along.inverse()),
             });
@@ -83,27 +86,29 @@ pub(crate) fn cycles(graph: &PoseGraph, window: u32) -> Vec<Cycle> {
         let mut others: Vec<usize> = near_from.keys().flat_map(|node| &closures[*node]).copied().collect();
         others.sort_unstable();
         others.dedup();
-        for other in others
+        let later = others
             .into_iter()
-            .filter(|other| *other > index && edges[*other] != *edge)
-        {
-            let (mut back, mut ends) = (
-                Uncertain::of(&edges[other]).inverse(),
-                (edges[other].from, edges[other].to),
-            );
-            if !near_from.contains_key(&ends.0) || !near_to.contains_key(&ends.1) {
-                (back, ends) = (back.inverse(), (ends.1, ends.0));
-            }
-            let (Some(there), Some(here)) = (near_to.get(&ends.1), near_from.get(&ends.0)) else {
-                continue;
+            .filter(|other| *other > index && edges[*other] != *edge);
+        let near = later.filter_map(|other| {
+            let Edge { from, to, .. } = edges[other];
+            let along = |from, to| Some((near_from.get(&from)?, near_to.get(&to)?));
+            let (is_turned, (here, there)) = match along(from, to) {
+                Some(ends) => (false, ends),
+                None => (true, along(to, from)?),
             };
-            cycles.push(Cycle {
+            Some((other, is_turned, here, there))
+        });
+        for (other, is_turned, here, there) in near.take(MAX_OTHERS) {
+            let mut back = Uncertain::of(&edges[other]).inverse();
+            if is_turned {
+                back = back.inverse();
+            }
+            visit(Cycle {
                 closures: [index, other],
                 end: own.then(there).then(&back).then(&here.inverse()),
             });
         }
     }
-    cycles
 }
 
 /// The nodes within `window` odometry steps of a node, and their poses relative to it.
@@ -129,4 +134,45 @@ fn around(node: usize, edges: &[Edge], odometry: &[Vec<usize>], window: u32) -> 
         front = next;
     }
     reached
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+
+    use nalgebra::Matrix3;
+    use zenav_protocol::geometry::Pose2;
+
+    use super::*;
+
+    #[test]
+    fn many_closures_between_the_same_nodes_make_a_bounded_number_of_cycles() {
+        let mut graph = PoseGraph::new();
+        graph.add_node(Pose2::IDENTITY).unwrap();
+        graph.add_node(Pose2::new(1.0, 0.0, 0.0)).unwrap();
+        let mut add = |kind, x| {
+            let edge = Edge {
+                from: 0,
+                to: 1,
+                measurement: Pose2::new(x, 0.0, 0.0),
+                information: Matrix3::identity(),
+                kind,
+            };
+            graph.add_edge(edge).unwrap();
+        };
+        add(EdgeKind::Odometry, 1.0);
+        for closure in 0..400 {
+            add(EdgeKind::Closure, 1.0 + 1e-4 * f64::from(closure));
+        }
+        let mut with_others = vec![0; graph.edges().len()];
+        for_each_cycle(&graph, 10, |Cycle { closures: [a, b], .. }| {
+            if a != b {
+                with_others[a] += 1;
+            }
+        });
+        assert_eq!(with_others[1], MAX_OTHERS);
+        assert_eq!(with_others[300], MAX_OTHERS);
+        assert_eq!(with_others[399], 1);
+        assert!(supported(&graph, &RobustSettings::default()).into_iter().all(|is| is));
+    }
 }

@@ -110,9 +110,22 @@ struct Background {
 struct Plausible {
     /// Its place among the closures.
     at: usize,
-    half: Half<3>,
     gap: Vector3<f64>,
     fit: Fit,
+}
+
+/// The plausible closures that are searched for ones that agree with each other, best fit first.
+struct Best<'p> {
+    all: Vec<&'p Plausible>,
+    /// Of their gaps, as the accepted edges determine them: three rows and three columns for each.
+    covariance: DMatrix<f64>,
+}
+
+impl Best<'_> {
+    /// Of two gaps.
+    fn covariance(&self, row: usize, column: usize) -> Matrix3<f64> {
+        self.covariance.fixed_view::<3, 3>(3 * row, 3 * column).into_owned()
+    }
 }
 
 /// The closures of a graph, and which of them are accepted.
@@ -193,6 +206,8 @@ impl<'g> Weighing<'g> {
             if !drop_worst(self.graph, &mut self.weights, &self.poses, self.settings, except) {
                 return;
             }
+            // They may have confirmed others.
+            self.is_sure.fill(false);
         }
     }
 
@@ -225,7 +240,7 @@ impl<'g> Weighing<'g> {
             self.is_sure[*index] = true;
         }
         if accepted.is_empty() {
-            accepted = self.agreeing(&plausible, &background);
+            accepted = self.agreeing(&self.best(&plausible, &mut halves), &background);
         }
         for index in &accepted {
             self.weights[*index] = 1.0;
@@ -268,7 +283,7 @@ impl<'g> Weighing<'g> {
             }
             if fit.chi_squared <= self.settings.max_chi_squared {
                 let at = *at;
-                plausible.push(Plausible { at, half, gap, fit });
+                plausible.push(Plausible { at, gap, fit });
             }
         }
         self.open = open;
@@ -367,23 +382,39 @@ impl<'g> Weighing<'g> {
         found.into_iter().map(|(_, index)| index).collect()
     }
 
+    /// The plausible closures that fit best, no more than are to be reconsidered.
+    fn best<'p>(&self, plausible: &'p [Plausible], halves: &mut Halves<'_, 3>) -> Best<'p> {
+        let mut all: Vec<&Plausible> = plausible.iter().collect();
+        all.sort_by(|a, b| a.fit.chi_squared.total_cmp(&b.fit.chi_squared));
+        all.truncate(self.settings.reconsidered as usize);
+        let half: Vec<Half<3>> = all
+            .iter()
+            .map(|one| self.half(&self.closures[one.at], halves))
+            .collect();
+        let mut covariance = DMatrix::zeros(3 * all.len(), 3 * all.len());
+        for (row, a) in half.iter().enumerate() {
+            for (column, b) in half.iter().enumerate().skip(row) {
+                let block = a.covariance(b);
+                covariance.fixed_view_mut::<3, 3>(3 * row, 3 * column).copy_from(&block);
+                covariance
+                    .fixed_view_mut::<3, 3>(3 * column, 3 * row)
+                    .copy_from(&block.transpose());
+            }
+        }
+        Best { all, covariance }
+    }
+
     /// The rejected closures, two or more, that agree best with each other: each is confirmed by the rest, and together they are no chance.
-    fn agreeing(&self, plausible: &[Plausible], background: &Background) -> Vec<usize> {
-        let mut order: Vec<usize> = (0..plausible.len()).collect();
-        order.sort_by(|a, b| plausible[*a].fit.chi_squared.total_cmp(&plausible[*b].fit.chi_squared));
-        order.truncate(self.settings.reconsidered as usize);
+    fn agreeing(&self, among: &Best<'_>, background: &Background) -> Vec<usize> {
         let mut best = (ACCEPTED, Vec::new());
-        for first in &order {
-            let one = &plausible[*first];
+        for (first, one) in among.all.iter().enumerate() {
             let mut all = self.expected(&self.closures[one.at], &one.fit, background);
-            let mut group = vec![*first];
+            let mut group = vec![first];
             while group.len() < MAX_GROUP {
                 // What repeats a measurement confirms nothing.
-                let edge = |at: &usize| &self.graph.edges()[self.closures[plausible[*at].at].index];
-                let others = order
-                    .iter()
-                    .filter(|at| group.iter().all(|other| edge(other) != edge(at)));
-                let given = others.filter_map(|at| Some((self.given(plausible, *at, &group, background)?, *at)));
+                let edge = |at: &usize| &self.graph.edges()[self.closures[among.all[*at].at].index];
+                let others = (0..among.all.len()).filter(|at| group.iter().all(|other| edge(other) != edge(at)));
+                let given = others.filter_map(|at| Some((self.given(among, at, &group, background)?, at)));
                 let next = given.min_by(|a, b| a.0.total_cmp(&b.0));
                 let Some((expected, next)) = next.filter(|(expected, _)| *expected <= ACCEPTED) else {
                     break;
@@ -393,7 +424,7 @@ impl<'g> Weighing<'g> {
             }
             let is_confirmed = |at: &usize| {
                 let rest: Vec<usize> = group.iter().copied().filter(|other| other != at).collect();
-                let given = self.given(plausible, *at, &rest, background);
+                let given = self.given(among, *at, &rest, background);
                 given.is_some_and(|expected| expected <= ACCEPTED)
             };
             if group.len() > 1 && all < best.0 && group.iter().all(is_confirmed) {
@@ -403,24 +434,24 @@ impl<'g> Weighing<'g> {
         let (_, group) = best;
         group
             .into_iter()
-            .map(|at| self.closures[plausible[at].at].index)
+            .map(|at| self.closures[among.all[at].at].index)
             .collect()
     }
 
     /// The expected number of false closures that fit as well as one, if a group is accepted. `None` if it does not fit then.
-    fn given(&self, plausible: &[Plausible], one: usize, group: &[usize], background: &Background) -> Option<f64> {
-        let (one, size) = (&plausible[one], 3 * group.len());
+    fn given(&self, among: &Best<'_>, one: usize, group: &[usize], background: &Background) -> Option<f64> {
+        let size = 3 * group.len();
         let (mut joint, mut gaps) = (DMatrix::zeros(size, size), DVector::zeros(size));
         let mut mixed = DMatrix::zeros(size, 3);
-        for (row, a) in group.iter().map(|at| &plausible[*at]).enumerate() {
-            gaps.fixed_rows_mut::<3>(3 * row).copy_from(&a.gap);
+        for (row, a) in group.iter().enumerate() {
+            gaps.fixed_rows_mut::<3>(3 * row).copy_from(&among.all[*a].gap);
             mixed
                 .fixed_view_mut::<3, 3>(3 * row, 0)
-                .copy_from(&a.half.covariance(&one.half));
-            for (column, b) in group.iter().map(|at| &plausible[*at]).enumerate() {
-                let mut block = a.half.covariance(&b.half);
+                .copy_from(&among.covariance(*a, one));
+            for (column, b) in group.iter().enumerate() {
+                let mut block = among.covariance(*a, *b);
                 if row == column {
-                    block += self.closures[a.at].covariance()?;
+                    block += self.closures[among.all[*a].at].covariance()?;
                 }
                 joint.fixed_view_mut::<3, 3>(3 * row, 3 * column).copy_from(&block);
             }
@@ -428,11 +459,11 @@ impl<'g> Weighing<'g> {
         let solved = joint.cholesky()?.solve(&mixed);
         let by_group = solved.transpose() * gaps;
         let known = mixed.transpose() * solved;
-        let gap = one.gap - by_group.fixed_rows::<3>(0);
-        let covariance = one.half.covariance(&one.half) - known.fixed_view::<3, 3>(0, 0);
-        let fit = self.closures[one.at].beside(&gap, &covariance)?;
-        (fit.chi_squared <= self.settings.max_chi_squared)
-            .then(|| self.expected(&self.closures[one.at], &fit, background))
+        let closure = &self.closures[among.all[one].at];
+        let gap = among.all[one].gap - by_group.fixed_rows::<3>(0);
+        let covariance = among.covariance(one, one) - known.fixed_view::<3, 3>(0, 0);
+        let fit = closure.beside(&gap, &covariance)?;
+        (fit.chi_squared <= self.settings.max_chi_squared).then(|| self.expected(closure, &fit, background))
     }
 
     /// Rejected closures that agree with each other around short cycles, by group, the largest first.
@@ -441,6 +472,9 @@ impl<'g> Weighing<'g> {
         let is_open = |pair: &&[usize; 2]| pair[0] != pair[1] && pair.iter().all(|index| self.weights[*index] == 0.0);
         for [a, b] in self.pairs.iter().filter(is_open) {
             let (a, b) = (group_of[*a], group_of[*b]);
+            if a == b {
+                continue;
+            }
             for group in &mut group_of {
                 if *group == a.max(b) {
                     *group = a.min(b);
@@ -456,18 +490,23 @@ impl<'g> Weighing<'g> {
         groups
     }
 
-    /// Accepts a group in place of the closures that it contradicts, if the truncated cost is lower then.
+    /// Accepts a group in place of the closures that it contradicts, if the truncated cost is lower then, also once all others are settled.
     fn try_against_the_others(&mut self, group: &[usize], descent: &DescentSettings) {
-        let before = (self.truncated_cost(), self.weights.clone(), self.poses.clone());
+        let cost = self.truncated_cost();
+        let before = (self.weights.clone(), self.poses.clone());
+        let flags = (self.is_sure.clone(), self.is_lone.clone());
         for index in group {
             self.weights[*index] = 1.0;
         }
         self.fit(descent, group);
-        if self.truncated_cost() < before.0 {
+        if self.truncated_cost() < cost {
             self.settle(descent);
-        } else {
-            (_, self.weights, self.poses) = before;
+            if self.truncated_cost() < cost {
+                return;
+            }
         }
+        (self.weights, self.poses) = before;
+        (self.is_sure, self.is_lone) = flags;
     }
 
     /// A true closure costs its chi squared, a false one the largest that a true one may have.
@@ -518,4 +557,61 @@ pub(crate) fn drop_worst(
         }
     }
     true
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn what_a_dropped_closure_may_have_confirmed_is_weighed_again() {
+        let (mut graph, settings) = (PoseGraph::new(), RobustSettings::default());
+        for node in 0..4 {
+            graph.add_node(Pose2::new(f64::from(node), 0.0, 0.0)).unwrap();
+        }
+        let steps = (0..3).map(|from| (from, from + 1, 1.0, EdgeKind::Odometry));
+        // One that holds and one that does not.
+        let closures = [(0, 3, 3.0, EdgeKind::Closure), (0, 2, 20.0, EdgeKind::Closure)];
+        for (from, to, x, kind) in steps.chain(closures) {
+            let edge = Edge {
+                from,
+                to,
+                measurement: Pose2::new(x, 0.0, 0.0),
+                information: Matrix3::identity() * 100.0,
+                kind,
+            };
+            graph.add_edge(edge).unwrap();
+        }
+        let mut weighing = Weighing::new(&graph, &settings, &[], vec![1.0; 5], graph.poses().to_vec());
+        weighing.is_sure[3] = true;
+        weighing.fit(&DescentSettings::default(), &[]);
+        assert_eq!(weighing.weights, [1.0, 1.0, 1.0, 1.0, 0.0]);
+        assert!(!weighing.is_sure[3]);
+    }
+
+    #[test]
+    fn a_trial_that_ends_no_lower_leaves_no_trace() {
+        let (settings, descent) = (RobustSettings::default(), DescentSettings::default());
+        // Forty metres straight on, a hundred closures that see anything anywhere, and one that no other confirms: accepted it lowers the
+        // cost, until it is dropped again.
+        let step = |i: u32| format!("EDGE_SE2 {i} {} 1 0 0 100 0 0 100 0 400\n", i + 1);
+        let wrong = |i: u32| {
+            let (x, y) = (f64::from(i * 7 % 13) - 20.0, f64::from(i * 5 % 11) - 5.0);
+            format!("EDGE_SE2 {} {} {x} {y} 2 100 0 0 100 0 400\n", i % 20, 20 + i * 3 % 17)
+        };
+        let text: String = (0..40).map(step).chain((0..100).map(wrong)).collect();
+        let text = text + "EDGE_SE2 0 40 40 12 0 100 0 0 100 0 400\n";
+        let graph = crate::g2o::read(&text).unwrap().graph;
+        let mut weights = vec![0.0; 141];
+        weights[..40].fill(1.0);
+        let mut weighing = Weighing::new(&graph, &settings, &[], weights, graph.poses().to_vec());
+        weighing.settle(&descent);
+        let before = (weighing.weights.clone(), weighing.poses.clone());
+        assert_eq!(before.0[140], 0.0);
+        weighing.try_against_the_others(&[140], &descent);
+        assert_eq!((&weighing.weights, &weighing.poses), (&before.0, &before.1));
+        assert!(!weighing.is_lone[140]);
+    }
 }

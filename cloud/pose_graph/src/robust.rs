@@ -7,7 +7,7 @@
 use zenav_protocol::geometry::Pose2;
 
 use crate::chance::Chance;
-use crate::consistency::{Cycle, cycles};
+use crate::consistency::{Cycle, for_each_cycle};
 use crate::descent::{descend, edge_chi_squared};
 use crate::evidence::{Weighing, drop_worst};
 use crate::graph::{Edge, EdgeKind, PoseGraph};
@@ -152,15 +152,20 @@ impl RobustSolution {
 /// Pairs of closures that agree around a short cycle, better than false ones do by chance; one that agrees with odometry alone is a pair
 /// with itself.
 fn agreeing_pairs(graph: &PoseGraph, settings: &RobustSettings) -> Vec<[usize; 2]> {
-    let cycles = cycles(graph, settings.window);
-    let is_closed = |cycle: &Cycle| cycle.end.chi_squared() <= settings.max_chi_squared;
-    let open = cycles.iter().filter(|cycle| !is_closed(cycle));
-    let chance = Chance::of(open.map(|cycle| cycle.end.pose.x.hypot(cycle.end.pose.y)).collect());
-    let is_no_chance = |cycle: &&Cycle| {
-        let information = cycle.end.covariance.try_inverse().unwrap_or_default();
-        is_closed(cycle) && chance.expected(cycle.end.chi_squared(), &information) <= CHANCE_OF_SUPPORT
+    let (mut closed, mut misses) = (Vec::new(), Vec::new());
+    for_each_cycle(graph, settings.window, |cycle| {
+        if cycle.end.chi_squared() <= settings.max_chi_squared {
+            closed.push(cycle);
+        } else {
+            misses.push(cycle.end.pose.x.hypot(cycle.end.pose.y));
+        }
+    });
+    let chance = Chance::of(misses);
+    let is_no_chance = |Cycle { end, .. }: &&Cycle| {
+        let information = end.covariance.try_inverse().unwrap_or_default();
+        chance.expected(end.chi_squared(), &information) <= CHANCE_OF_SUPPORT
     };
-    cycles.iter().filter(is_no_chance).map(|cycle| cycle.closures).collect()
+    closed.iter().filter(is_no_chance).map(|cycle| cycle.closures).collect()
 }
 
 /// Rounds from nearly convex to truncated; returns their number. Poses and weights end as the last round leaves them.

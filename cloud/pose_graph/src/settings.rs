@@ -27,6 +27,6 @@ zenav_protocol::settings! {
         /// Largest distance, in nodes, between the ends of two closures that are compared with each other.
         pub window: u32 = 10, "", 0..=1000;
         /// Most rejected closures that are searched for ones that agree with each other, best fit first, each time the others are settled.
-        pub reconsidered: u32 = 50, "", 0..=100_000;
+        pub reconsidered: u32 = 50, "", 0..=1000;
     }
 }

@@ -2,6 +2,7 @@
 
 use zenav_protocol::bus::{Security, overhead};
 
+use crate::arguments;
 use crate::connect;
 use crate::failure::Outcome;
 use crate::keys;
@@ -11,7 +12,7 @@ use crate::output::{self, Format};
 #[derive(Debug, clap::Args)]
 pub struct BusArgs {
     /// Samples of each kind
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = connect::whole_in(1..=1_000_000_u32))]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = arguments::whole_in(1..=1_000_000_u32))]
     samples: u32,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]

@@ -36,12 +36,13 @@ pub enum Target {
 impl Target {
     /// What a rendering with files of these paths was for.
     pub(super) fn of(paths: &BTreeSet<&str>) -> Self {
-        let has = |what: &str| paths.iter().any(|path| path.contains(what));
+        let in_host = |path: &str, what: &str| path.starts_with("hosts/") && path.split('/').nth(2) == Some(what);
+        let has = |is_of: &dyn Fn(&str) -> bool| paths.iter().any(|path| is_of(path));
         match [
-            has("/systemd/"),
-            has("compose.yaml"),
-            has("kubernetes/"),
-            has("/zenoh/"),
+            has(&|path| in_host(path, "systemd")),
+            has(&|path| path == "compose.yaml" || in_host(path, "compose.yaml")),
+            has(&|path| path.starts_with("kubernetes/")),
+            has(&|path| in_host(path, "zenoh")),
         ] {
             [true, false, false, false] => Self::Systemd,
             [false, true, false, false] => Self::Compose,

@@ -7,7 +7,7 @@
 //! | `problems` | what is wrong with the hosts of a deployment? |
 //! | `command_line` | with which arguments is `zenav` started for a part? |
 //! | `systemd`, `compose`, `kubernetes`, `readme` | units, containers, manifests, instructions |
-//! | `zenoh` | how does a program of another kind link to the routers of its host? |
+//! | `zenoh_settings` | how does a program of another kind link to its host's routers or robot? |
 //! | `files` | which files are rendered? |
 //! | `named_files` | which files does a deployment name, that its hosts need too? |
 //! | `running` | which parts of a deployment run, as seen on the bus? |

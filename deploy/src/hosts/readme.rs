@@ -88,9 +88,12 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
     }
     if wanted(Target::Zenoh) {
         text += "\n## Programs of your own\n\n`hosts/NAME/zenoh/MEMBER.json5` are Zenoh's settings for a program on that host that is no part of zenav, such as \
-                 a driver or Zenoh's own tools: a client of the routers that the host's parts dial";
+                 a driver or Zenoh's own tools: a client of the routers that the host's parts dial or, in the name of a robot, of that robot's edge";
         text += match layout.profile {
-            Profile::Mtls => ", with the identity of that member, in `/etc/zenav-identity/MEMBER`.\n",
+            Profile::Mtls => {
+                ", with the identity of that member, in `/etc/zenav-identity/MEMBER`. The program's user must be able to read that folder, and nobody \
+                 else but root: `setfacl -R -m u:USER:rX /etc/zenav-identity/MEMBER`.\n"
+            }
             Profile::Open => ".\n",
         };
     }

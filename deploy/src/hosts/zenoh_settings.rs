@@ -12,7 +12,8 @@ use super::part::Part;
 use crate::config::{Profile, Role};
 
 /// Settings for each member of the fleet in whose name a program may run on a host, by the member: a client of the routers that the host's
-/// parts dial. Nobody but a router has a router's rights.
+/// parts dial. A robot's member, such as its driver, is a client of the robot's own edge instead: readings and wheel speeds do not pass through
+/// the cloud. Nobody but a router has a router's rights.
 pub(super) fn of_host(layout: &Layout<'_>, host: &Host) -> Vec<(String, String)> {
     let of_parts = host.parts.iter().map(|part| layout.identity(host, part));
     let operator = (host.role == Role::Operator).then(|| format!("operator.{}", host.name));
@@ -24,10 +25,17 @@ pub(super) fn of_host(layout: &Layout<'_>, host: &Host) -> Vec<(String, String)>
     let routers: Vec<String> = routers
         .map(|router| endpoint(layout, router, &Part::Router, Addresses::Hosts))
         .collect();
-    let text = |member: &String| {
+    let dialled = |member: &str| {
+        let is_own = |part: &&Part| matches!(part, Part::Edge(_)) && layout.identity(host, part) == member;
+        match host.parts.iter().find(is_own) {
+            Some(edge) => vec![endpoint(layout, host, edge, Addresses::Hosts)],
+            None => routers.clone(),
+        }
+    };
+    let text = |member: &str| {
         let folder = Path::new(IDENTITY).join(member);
         let identity = (layout.profile == Profile::Mtls).then_some(folder.as_path());
-        let mut settings = client_settings(&routers, member, identity);
+        let mut settings = client_settings(&dialled(member), member, identity);
         let namespace = &layout.deployment.bus.namespace;
         if !namespace.is_empty() {
             settings["namespace"] = namespace.as_str().into();

@@ -24,6 +24,8 @@ pub(super) struct Solved {
     edges: usize,
     /// Loop closures rejected as false.
     dropped: usize,
+    /// With `--robust`: ends, by the file's numbers, of the closures that were accepted or rejected on weak evidence.
+    doubtful: Vec<[u64; 2]>,
     chi_squared: f64,
     /// `certified`, `refused`, `elsewhere` or `unknown`.
     optimality: &'static str,
@@ -49,6 +51,7 @@ impl Solved {
             nodes,
             edges: robust.weights.len(),
             dropped: robust.weights.iter().filter(|weight| **weight == 0.0).count(),
+            doubtful: Vec::new(),
             chi_squared: robust.solution.chi_squared,
             optimality: match optimality {
                 Optimality::Certified => "certified",
@@ -67,8 +70,12 @@ impl Solved {
     /// One-sentence summary.
     pub(super) fn told(&self) -> String {
         let reason = output::piece(self.reason.as_ref(), |reason| format!(" ({reason})"));
+        let doubtful = match self.doubtful.len() {
+            0 => String::new(),
+            count => format!(" ({count} closures on weak evidence)"),
+        };
         format!(
-            "graph: {} nodes, {} edges, {} held to be false, chi squared {:.3}, {}{reason} in {:.1} ms",
+            "graph: {} nodes, {} edges, {} held to be false{doubtful}, chi squared {:.3}, {}{reason} in {:.1} ms",
             self.nodes, self.edges, self.dropped, self.chi_squared, self.optimality, self.solve_ms
         )
     }
@@ -83,9 +90,10 @@ fn solved(path: &Path, args: &SlamArgs) -> Result<Solved, Failure> {
     let text = files::text_within(path, MAX_GRAPH)?;
     let g2o::Document { mut graph, ids } = g2o::read(&text).map_err(Failure::usage_at(path))?;
     let descent = DescentSettings::default();
+    let settings = RobustSettings::default();
     let start = thread_time();
     let robust = if args.robust {
-        solve_robust(&graph, &descent, &RobustSettings::default())
+        solve_robust(&graph, &descent, &settings)
     } else {
         solve_graph(&graph, &descent).map(|solution| RobustSolution {
             solution,
@@ -95,6 +103,14 @@ fn solved(path: &Path, args: &SlamArgs) -> Result<Solved, Failure> {
     };
     let robust = robust.map_err(|error| Failure::failed_at(path)(unsolved(&error, &ids, args.robust)))?;
     let solve_ms = 1e3 * thread_time().saturating_sub(start).as_secs_f64();
+    let mut told = Solved::new(graph.poses().len(), &robust, solve_ms);
+    if args.robust {
+        let ends = |index: usize| {
+            let edge = &graph.edges()[index];
+            [ids[edge.from], ids[edge.to]]
+        };
+        told.doubtful = robust.doubtful(&graph, &settings).into_iter().map(ends).collect();
+    }
     if let Some(out) = &args.out {
         std::fs::create_dir_all(out).map_err(Failure::failed_at(out))?;
         graph.set_poses(&robust.solution.poses).map_err(Failure::failed)?;
@@ -103,7 +119,7 @@ fn solved(path: &Path, args: &SlamArgs) -> Result<Solved, Failure> {
             g2o::write_weighted(&graph, &ids, &robust.weights),
         )?;
     }
-    Ok(Solved::new(graph.poses().len(), &robust, solve_ms))
+    Ok(told)
 }
 
 /// Why a graph of a file has no solution, by the vertices' ids.

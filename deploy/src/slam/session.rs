@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use serde::Deserialize;
 use zenav_mapping::carmen::LOG_BEAMS;
 use zenav_mapping::{InsertMode, build_map, write_atomically};
 use zenav_protocol::geometry::Pose2;
@@ -26,31 +27,67 @@ pub(super) struct Stored {
     pub(super) is_of_robot: bool,
 }
 
-/// Reads a session file.
+/// What is read of the line that the mapping service writes before a session.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Head {
+    /// Id of the map that SLAM began in and did not make; empty if it made its map itself.
+    base: String,
+}
+
+/// Reads a session file. If SLAM began in a map that it did not make, a warning says that it is left out.
 pub(super) fn read(path: &Path) -> Result<Stored, Failure> {
-    load(&bytes(path)?).map_err(Failure::usage_at(path))
+    let bytes = bytes(path)?;
+    let stored = load(&bytes).map_err(Failure::usage_at(path))?;
+    warn_of_base(path, &bytes);
+    Ok(stored)
+}
+
+/// Warns if the session in the bytes of a file began in a map that it did not make, which the file lacks.
+fn warn_of_base(path: &Path, bytes: &[u8]) {
+    if let Some(base) = base(bytes) {
+        tracing::warn!(
+            "{}: the session began in the map `{base}`, which `slam.base` beside it holds: that map is left out",
+            path.display()
+        );
+    }
+}
+
+/// Id of the map that a session began in and did not make, by the head of its file.
+fn base(bytes: &[u8]) -> Option<String> {
+    let head = &bytes[..head(bytes)?];
+    let Head { base } = serde_json::from_slice(head).unwrap_or_default();
+    (!base.is_empty()).then_some(base)
+}
+
+/// Length of the line of JSON that the mapping service writes before a session.
+fn head(bytes: &[u8]) -> Option<usize> {
+    let end = bytes.iter().position(|byte| *byte == b'\n');
+    end.filter(|_| bytes.starts_with(b"{"))
 }
 
 fn bytes(path: &Path) -> Result<Vec<u8>, Failure> {
     files::bytes_within(path, (MOST_BYTES + MOST_HEAD) as u64)
 }
 
-/// The session in the bytes of a file. The mapping service writes one line of JSON before it.
+/// The session in the bytes of a file.
 fn load(bytes: &[u8]) -> Result<Stored, SessionError> {
-    let head = bytes.iter().position(|byte| *byte == b'\n');
-    let head = head.filter(|_| bytes.starts_with(b"{"));
+    let head = head(bytes);
     Ok(Stored {
         slam: Slam::load(head.map_or(bytes, |end| &bytes[end + 1..]))?,
         is_of_robot: head.is_some(),
     })
 }
 
-/// The map of a session file, drawn from the points of its scans; `None` if the file is no session.
+/// The map of a session file, drawn from the points of its scans; `None` if the file is no session. If SLAM began in a map
+/// that it did not make, a warning says that it is left out.
 pub(crate) fn drawn(path: &Path, resolution: f64) -> Result<Option<OccupancyGrid>, Failure> {
-    let slam = match load(&bytes(path)?) {
+    let bytes = bytes(path)?;
+    let slam = match load(&bytes) {
         Err(SessionError::Foreign) => return Ok(None),
         stored => stored.map_err(Failure::usage_at(path))?.slam,
     };
+    warn_of_base(path, &bytes);
     let scans = scans(&slam, 0..slam.nodes().len());
     if scans.is_empty() {
         return Err(Failure::usage_at(path)("expected a session with scans, found none"));
@@ -117,6 +154,21 @@ mod tests {
         std::fs::write(&robots, "{\"frame\":3}\nP5 1 1 255\n").unwrap();
         let refused = read(&robots).unwrap_err();
         assert!(refused.message.contains("expected a SLAM session"), "{refused}");
+    }
+
+    #[test]
+    fn a_session_that_began_in_a_map_is_known_by_its_head() {
+        let kept = b"{\"frame\":3,\"moves\":[],\"base\":\"hall\"}\nsession";
+        assert_eq!(base(kept).as_deref(), Some("hall"));
+        let without: [&[u8]; 4] = [
+            b"{\"frame\":3}\nsession",
+            b"{\"base\":\"\"}\nsession",
+            b"{no head\nsession",
+            b"session\n{\"base\":\"hall\"}\n",
+        ];
+        for bytes in without {
+            assert_eq!(base(bytes), None);
+        }
     }
 
     #[test]

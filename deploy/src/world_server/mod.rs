@@ -108,6 +108,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
             name: "sim".to_owned(),
             namespace: args.namespace.clone(),
             security,
+            is_narrow: false,
         };
         let bus = Bus::open(config).await?;
         // Port 0 is replaced by a free one.

@@ -166,25 +166,24 @@ impl MovingObstacles {
         self.forget_reappeared(scan, beside);
         self.scanned = Some(now);
         for place in places {
-            let track = self.tracks.at(place).cloned();
+            let track = self
+                .tracks
+                .at(place)
+                .map(|track| (track.id, track.born, track.sure_radius()));
             let speed = self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight);
-            let one = track.as_ref().filter(|track| !track.may_be_two());
-            let was_near = one.is_some_and(|track| {
-                self.supersede(track.id, track.born, place, speed, now, FEW_SCANS / scan.lidar.rate_hz)
-            });
-            if let (Some(track), None) = (&track, one)
-                && !self.adopted.contains(&track.id)
-            {
-                // The other one of the two is not this track, and stays noted when this track is seen.
-                remember(&mut self.adopted, track.id);
-            }
-            let of = one.map_or_else(|| self.untracked_at(place, now), |track| track.id);
+            let was_near = match track {
+                Some((id, born, _)) => self.supersede(id, born, place, speed, now, FEW_SCANS / scan.lidar.rate_hz),
+                None => false,
+            };
+            let of = track
+                .map(|(id, ..)| id)
+                .unwrap_or_else(|| self.untracked_at(place, now));
             self.occluded.note(RecentPlace {
                 place,
                 stamp: now,
                 speed,
                 is_near: was_near || (place - laser).norm() <= near,
-                radius: track.map_or(0.0, |track| track.sure_radius().min(SURE_RADIUS)),
+                radius: track.map_or(0.0, |(.., radius)| radius.min(SURE_RADIUS)),
                 of,
             });
         }

@@ -80,26 +80,6 @@ fn two_walkers_who_meet_keep_their_tracks() {
 }
 
 #[test]
-fn two_walkers_who_walk_into_one_track_may_be_two_and_one_who_walks_alone_may_not() {
-    let robot = zenav_fixtures::robot("tiago");
-    let one = |now: f64| Point2::new(2.5, -1.2 + 0.6 * now);
-    let alone = watch(&robot, 3.0, |now| vec![one(now)]);
-    assert!(
-        alone.tracks().iter().all(|track| !track.may_be_two()),
-        "{:?}",
-        alone.tracks().iter().collect::<Vec<_>>()
-    );
-    // The second one comes up to the first from behind, and they walk on side by side.
-    let second = |now: f64| Point2::new(2.5, -1.2 + 0.6 * now - (1.4 - 0.5 * now).max(0.45));
-    let both = watch(&robot, 3.0, |now| vec![one(now), second(now)]);
-    assert!(
-        both.tracks().iter().any(Track::may_be_two),
-        "{:?}",
-        both.tracks().iter().collect::<Vec<_>>()
-    );
-}
-
-#[test]
 fn a_walker_who_stops_is_an_obstacle_like_any_other_after_a_while() {
     let robot = zenav_fixtures::robot("tiago");
     let settings = TrackingSettings::default();

@@ -13,7 +13,7 @@ use super::link;
 use super::rights::Rights;
 use super::security::Security;
 use super::session::{
-    Bus, BusError, DEFAULT_ENDPOINT, LEASE_MS, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings,
+    Bus, BusError, CLOSE_TIMEOUT, DEFAULT_ENDPOINT, LEASE_MS, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings,
 };
 
 /// Interval between two looks whether this process was suspended.
@@ -132,8 +132,10 @@ impl Router {
 
     /// Stops the router and closes every link.
     pub async fn close(self) {
-        if let Err(error) = self.session.close().await {
-            tracing::warn!(%error, "closing the router failed");
+        match tokio::time::timeout(CLOSE_TIMEOUT, self.session.close()).await {
+            Ok(Err(error)) => tracing::warn!(%error, "closing the router failed"),
+            Err(_) => tracing::warn!("closing the router takes long"),
+            Ok(Ok(())) => {}
         }
     }
 }

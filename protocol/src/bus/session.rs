@@ -43,9 +43,10 @@ pub(super) const ROUTER_HANDSHAKE_MS: u64 = 2000;
 const ACCEPTED_MS: u64 = 20_000;
 /// Most incoming handshakes at a time.
 const ACCEPTED: u64 = 1000;
-/// Size of a robot's TCP send buffer, bytes; Linux doubles it. What waits there leaves in order, whatever its priority, and by itself Linux lets
-/// megabytes wait: a minute's worth on a link of 256 kbit/s, two seconds' with this limit. It passes half a megabit a second over a round trip of 1 s.
-const ROBOT_SEND_BUFFER: u32 = 32 * 1024;
+/// Size of the TCP send buffer of a link that may be narrow, bytes; Linux doubles it, and a fifth is its own. What waits there leaves in order,
+/// whatever its priority, and by itself Linux lets megabytes wait: a minute's worth on a link of 256 kbit/s, two seconds' with this limit. It
+/// passes 0.4 Mbit/s over a round trip of 1 s.
+const NARROW_SEND_BUFFER: u32 = 32 * 1024;
 /// Time until a link is reported, on top of the handshake limit.
 const SHOWS: Duration = Duration::from_millis(600);
 /// Largest message accepted from a link, bytes: more than the largest of the key table.
@@ -55,7 +56,7 @@ const MAX_RETRY_MS: u64 = 400;
 /// Shortest pause between two attempts to connect, ms.
 const MIN_RETRY_MS: u64 = 200;
 /// Time limit for closing a session.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
+pub(super) const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Configuration of a session.
 #[derive(Clone, Debug)]
@@ -72,6 +73,8 @@ pub struct BusConfig {
     pub security: Security,
     /// Zenoh's prefix for every key of this session, such as `site1`; empty for none. Sessions in other namespaces are not visible.
     pub namespace: String,
+    /// Whether its links may be narrow, as a robot's: little then waits in the send buffer of a TCP link. It carries some 50 kB per round trip.
+    pub is_narrow: bool,
 }
 
 impl Default for BusConfig {
@@ -83,6 +86,7 @@ impl Default for BusConfig {
             retry: true,
             security: Security::default(),
             namespace: String::new(),
+            is_narrow: false,
         }
     }
 }
@@ -352,8 +356,7 @@ impl BusConfig {
             &self.name,
             &self.security,
             handshake_ms,
-            // Only a robot has an endpoint of its own, and a link that may be narrow.
-            (mode == WhatAmI::Router).then_some(ROBOT_SEND_BUFFER),
+            self.is_narrow.then_some(NARROW_SEND_BUFFER),
         )?;
         if !self.is_part() {
             // Routers keep the keys of an admin space for ever, and every command would add its own.
@@ -528,12 +531,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn little_waits_in_the_send_buffer_of_a_robot_and_other_sessions_have_the_system_s() {
-        let buffer = |mode| {
-            let settings = BusConfig::default().settings(mode, HANDSHAKES_MS[0]).unwrap();
+    fn little_waits_in_the_send_buffer_of_a_narrow_link_and_other_links_have_the_system_s() {
+        let buffer = |is_narrow| {
+            let config = BusConfig {
+                is_narrow,
+                ..BusConfig::default()
+            };
+            let settings = config.settings(WhatAmI::Router, HANDSHAKES_MS[0]).unwrap();
             settings.get_json("transport/link/tcp/so_sndbuf").unwrap()
         };
-        assert_eq!(buffer(WhatAmI::Router), ROBOT_SEND_BUFFER.to_string());
-        assert_eq!(buffer(WhatAmI::Client), "null");
+        assert_eq!(buffer(true), NARROW_SEND_BUFFER.to_string());
+        assert_eq!(buffer(false), "null");
     }
 }

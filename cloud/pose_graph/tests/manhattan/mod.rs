@@ -25,7 +25,7 @@ pub fn information() -> Matrix3<f64> {
     Matrix3::from_diagonal(&Vector3::from(SIGMA.map(|sigma| 1.0 / (sigma * sigma))))
 }
 
-fn noisy(pose: Pose2, random: &mut Pcg64Mcg) -> Pose2 {
+pub fn noisy(pose: Pose2, random: &mut Pcg64Mcg) -> Pose2 {
     let mut draw = |sigma: f64| -> f64 {
         let normal: f64 = StandardNormal.sample(random);
         sigma * normal

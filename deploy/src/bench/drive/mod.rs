@@ -12,8 +12,8 @@ use serde::Serialize;
 use self::runs::{Run, all, compare};
 use self::table::{EXTRAS, Extra, Row};
 use super::suites::Suite;
+use crate::arguments;
 use crate::completion;
-use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -27,10 +27,10 @@ pub struct DriveArgs {
     #[arg(long, value_enum, value_name = "S", ignore_case = true)]
     suite: Option<Suite>,
     /// Seeds per scenario and robot [default: 20 worlds a level in S2, 4 in S4, 2 in S9, 1 in S1, S11 and S12, else 3]
-    #[arg(long, value_name = "N", value_parser = connect::whole_in(1..=10_000_u64))]
+    #[arg(long, value_name = "N", value_parser = arguments::whole_in(1..=10_000_u64))]
     seeds: Option<u64>,
     /// First seed: choose worlds that nothing was tuned on
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = connect::whole_in(0..=1_000_000_000_u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = arguments::whole_in(0..=1_000_000_000_u64))]
     first_seed: u64,
     /// Drive with this robot, a shipped one or a file, `+OPTION` for each option; may be repeated [default: those of the suite]
     #[arg(long = "robot", value_name = "NAME", add = completion::models())]
@@ -39,7 +39,7 @@ pub struct DriveArgs {
     #[arg(long, value_name = "DIR")]
     worlds: Option<PathBuf>,
     /// Standard deviation of the lidar's ranges in S1, cm; at least the lidar's own
-    #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds", value_parser = connect::finite)]
+    #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds", value_parser = arguments::finite)]
     noise: f64,
     /// Run only the run of this name, as in the table
     #[arg(long, value_name = "NAME")]
@@ -51,7 +51,7 @@ pub struct DriveArgs {
     #[arg(long, value_name = "DIR")]
     world_out: Option<PathBuf>,
     /// Parallel runs [default: one per core]
-    #[arg(long, value_name = "N", value_parser = connect::whole_in(1..=1024_u16))]
+    #[arg(long, value_name = "N", value_parser = arguments::whole_in(1..=1024_u16))]
     threads: Option<u16>,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]

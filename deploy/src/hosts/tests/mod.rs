@@ -65,6 +65,49 @@ fn one_target_s_files_are_a_part_of_all() {
 }
 
 #[test]
+fn a_rendering_of_one_target_is_known_by_its_folders_whatever_a_host_is_called() {
+    for name in ["zenoh", "systemd", "kubernetes"] {
+        let fleet = deployment(&FLEET.replace("fleet-a", name));
+        let layout = Layout::of(&fleet).unwrap();
+        for target in [
+            Target::Systemd,
+            Target::Compose,
+            Target::Kubernetes,
+            Target::Zenoh,
+            Target::All,
+        ] {
+            let files = render(&layout, &[], target).unwrap();
+            let mut paths: BTreeSet<&str> = files.keys().map(String::as_str).collect();
+            paths.insert("etc/zenoh/compose.yaml");
+            assert_eq!(Target::of(&paths), target, "host {name}: {paths:#?}");
+        }
+    }
+}
+
+#[test]
+fn a_robot_s_driver_dials_the_robot_s_own_edge_and_other_members_dial_routers() {
+    let fleet = deployment(FLEET);
+    let layout = Layout::of(&fleet).unwrap();
+    let files = render(&layout, &[], Target::Zenoh).unwrap();
+    let dialled = |path: &str| -> Vec<String> {
+        let settings = files[path].split_once('\n').unwrap().1;
+        let settings: serde_json::Value = serde_json::from_str(settings).unwrap();
+        serde_json::from_value(settings["connect"]["endpoints"].clone()).unwrap()
+    };
+    // It listens on a port that the file names, and on the first one of its host without.
+    let edges = [
+        ("hosts/robot-c/zenoh/robot.carl.json5", "quic/10.0.9.13:7460"),
+        ("hosts/robot-a/zenoh/robot.anna.json5", "quic/10.0.3.11:7450"),
+    ];
+    for (path, edge) in edges {
+        assert_eq!(dialled(path), [edge]);
+    }
+    let routers = ["quic/fleet-a.example.org:7447", "quic/fleet-b.example.org:7447"];
+    assert_eq!(dialled("hosts/desk/zenoh/operator.desk.json5"), routers);
+    assert_eq!(dialled("hosts/fleet-a/zenoh/service.fleet-a.json5"), routers);
+}
+
+#[test]
 fn every_part_dials_routers_that_are_there_and_two_routers_have_one_link() {
     let fleet = deployment(FLEET);
     let layout = Layout::of(&fleet).unwrap();
