@@ -348,7 +348,12 @@ impl Client {
     }
 
     async fn goals(&self, robot: &str) -> Result<BTreeMap<String, GoalPhase>, String> {
-        let reply = self.asked(&topics::GOALS, robot, &GoalsRequest::default()).await;
+        // As many as a mission keeps: an answer without a limit has the newest only.
+        let all = GoalsRequest {
+            limit: Some(1000),
+            ..GoalsRequest::default()
+        };
+        let reply = self.asked(&topics::GOALS, robot, &all).await;
         let reply = reply.map_err(|error| format!("goals of {robot}: {error}"))?;
         Ok(reply.goals.into_iter().map(|goal| (goal.id, goal.state)).collect())
     }
