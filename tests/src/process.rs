@@ -5,7 +5,7 @@ use std::io::{BufRead as _, BufReader, Read};
 use std::net::TcpListener;
 use std::ops::Range;
 use std::path::Path;
-use std::process::{self, Child, Command, Output, Stdio};
+use std::process::{self, Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -113,10 +113,24 @@ impl Process {
     /// When the signal cannot be sent, or the process does not end in time or is ended by a signal.
     pub fn interrupt(&mut self, limit: Duration) -> Result<i32, String> {
         self.signal(rustix::process::Signal::INT)?;
+        let status = self.ended_within(limit)?;
+        status.code().ok_or_else(|| format!("`zenav {}`: {status}", self.name))
+    }
+
+    /// Ends it as a service manager does (`SIGTERM`), and waits for its end. One that has not begun yet is ended by the signal itself.
+    ///
+    /// # Errors
+    /// When the signal cannot be sent, or the process does not end in time.
+    pub fn terminate(&mut self, limit: Duration) -> Result<(), String> {
+        self.signal(rustix::process::Signal::TERM)?;
+        self.ended_within(limit).map(drop)
+    }
+
+    fn ended_within(&mut self, limit: Duration) -> Result<ExitStatus, String> {
         let deadline = Instant::now() + limit;
         while Instant::now() < deadline {
             if let Ok(Some(status)) = self.child.try_wait() {
-                return status.code().ok_or_else(|| format!("`zenav {}`: {status}", self.name));
+                return Ok(status);
             }
             std::thread::park_timeout(Duration::from_millis(10));
         }

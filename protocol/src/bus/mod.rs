@@ -51,7 +51,7 @@
 //! | `raw` | untyped bytes, for tools |
 //! | `tap` | all samples as they arrive, byte for byte with arrival times, for recorders; publishing them again |
 //! | `clock`, `shutdown` | the only [`Clock`] of a service, and its [`Shutdown`] |
-//! | `threads` | Zenoh's threads: how many a process needs |
+//! | `threads`, `memory` | Zenoh's threads: how many a process needs; what keeps its memory bounded |
 //! | `service_manager` | notifications to the service manager: ready, alive, stopping |
 //! | `overhead` | cost of the typed bus over raw Zenoh |
 //! | `link`, `flow` | for the metrics and the log: links to routers; traffic and losses per topic |
@@ -73,6 +73,7 @@ mod inbox;
 mod keyed;
 mod limiter;
 mod link;
+mod memory;
 pub mod overhead;
 mod publish;
 mod rate;

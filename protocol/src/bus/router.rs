@@ -15,11 +15,15 @@ use super::security::Security;
 use super::session::{
     Bus, BusError, CLOSE_TIMEOUT, DEFAULT_ENDPOINT, LEASE_MS, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings,
 };
+use super::threads;
 
 /// Interval between two looks whether this process was suspended.
 const LOOK: Duration = Duration::from_millis(500);
 /// Time of a suspension after which others have given up on the router: their links have ended, and so has the shortest handshake after that.
 const GIVEN_UP: Duration = Duration::from_millis(LEASE_MS + ROUTER_HANDSHAKE_MS);
+/// A process that has started anew does not do so again for this time. On a machine without processor time to spare each start costs more
+/// than it mends.
+const ONCE_IN: Duration = Duration::from_secs(30);
 
 /// Configuration of a router.
 #[derive(Clone, Debug)]
@@ -116,15 +120,17 @@ impl Router {
         }
     }
 
-    /// Ends once this process was suspended (`SIGSTOP`, a paused container) until others gave up on it. Over QUIC, Zenoh 1.10 waits half a
-    /// minute for a handshake that was given up before it accepts the next link; only a new process forgets these handshakes. Never ends
-    /// without an identity, because links over TCP do not wait for one another.
+    /// Ends once this process was suspended (`SIGSTOP`, a paused container), or got no processor time, until others gave up on it. Over QUIC,
+    /// Zenoh 1.10 waits half a minute for a handshake that was given up before it accepts the next link; only a new process
+    /// ([`threads::restart`]) forgets these handshakes. Such a process ends this again only after half a minute. Never ends without an identity,
+    /// because links over TCP do not wait for one another.
     pub async fn was_suspended(&self) {
         if self.rights.is_none() {
             return std::future::pending().await;
         }
-        let mut looked = Instant::now();
-        while looked.elapsed() < GIVEN_UP {
+        let begun = Instant::now();
+        let mut looked = begun;
+        while !is_to_start_anew(looked.elapsed(), begun.elapsed(), threads::was_restarted()) {
             looked = Instant::now();
             tokio::time::sleep(LOOK).await;
         }
@@ -137,5 +143,27 @@ impl Router {
             Err(_) => tracing::warn!("closing the router takes long"),
             Ok(Ok(())) => {}
         }
+    }
+}
+
+/// Whether a router that did not run for `gap` is to start anew, `running` after its own start; `was_restarted` if that was a restart.
+fn is_to_start_anew(gap: Duration, running: Duration, was_restarted: bool) -> bool {
+    gap >= GIVEN_UP && (!was_restarted || running >= ONCE_IN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_router_that_was_suspended_starts_anew_but_not_again_and_again() {
+        let secs = Duration::from_secs;
+        assert!(is_to_start_anew(secs(5), secs(6), false));
+        assert!(!is_to_start_anew(secs(2), secs(6), false), "nobody has given up on it");
+        assert!(
+            !is_to_start_anew(secs(5), secs(6), true),
+            "a machine without time for it"
+        );
+        assert!(is_to_start_anew(secs(5), secs(400), true));
     }
 }

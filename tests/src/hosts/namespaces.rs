@@ -231,7 +231,7 @@ impl Site for Namespaces {
     }
 
     fn update(&mut self, part: &str) -> Result<(), String> {
-        self.process(part)?.interrupt(ENDING)?;
+        self.process(part)?.terminate(ENDING)?;
         self.start(part)
     }
 
