@@ -1,32 +1,29 @@
-//! Store. Where are goals kept? In one redb file per mission: goals, the running tree, the plan in force, first answers, the incarnation.
+//! Store. Where are goals kept? In four tables per mission: goals, first answers, the running tree with the plan in force, the store's own.
+//!
+//! This file says what is in them and when it counts as kept. What it needs of a database is an [`Engine`]: redb, in a file of this machine.
 
-use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
-use std::sync::{PoisonError, RwLock};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
-use redb::{
-    Database, DatabaseError, ReadTransaction, ReadableDatabase, ReadableTable, Table, TableDefinition, WriteTransaction,
-};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use thiserror::Error;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::JournalWrite;
 
 use self::checksum::Checksum;
+use self::engine::{Engine, EngineError, Table};
+use self::redb::RedbFile;
+use self::tables::{Records, Tables, decode, encode, own_record, with_place};
 use super::records::{Leadership, Record, Restored, StoredGoal};
 
 mod checksum;
+mod engine;
+#[cfg(test)]
+mod memory;
+mod redb;
+mod tables;
 
-type Definition = TableDefinition<'static, &'static str, &'static [u8]>;
-
-const GOALS: Definition = TableDefinition::new("goals");
-const ANSWERS: Definition = TableDefinition::new("answers");
-const SINGLES: Definition = TableDefinition::new("singles");
 /// Tables that a leader replicates to its standbys.
-const SHARED: [Definition; 3] = [GOALS, ANSWERS, SINGLES];
-/// The file's own metadata.
-const OWN: Definition = TableDefinition::new("own");
+const SHARED: [Table; 3] = [Table::Goals, Table::Answers, Table::Singles];
 
 /// The name of the store.
 const NAME: &str = "name";
@@ -59,9 +56,10 @@ const INCARNATION: &str = "incarnation";
 /// because a new one is put into place only when it has its name.
 #[derive(Debug)]
 pub struct MissionStore {
-    /// `None` while it could not be reopened.
-    database: RwLock<Option<Database>>,
-    path: PathBuf,
+    /// Locked from the first read of a change to its commit.
+    engine: Mutex<Box<dyn Engine>>,
+    /// Where it is, for messages.
+    place: String,
     name: String,
 }
 
@@ -129,48 +127,25 @@ impl MissionStore {
     /// # Ok::<(), StoreError>(())
     /// ```
     pub fn open(path: &Path, robot: &str) -> Result<Self, StoreError> {
-        let mut store = Self {
-            database: RwLock::new(None),
-            path: path.to_owned(),
-            name: String::new(),
-        };
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(|error| store.io(error))?;
-        }
-        match std::fs::metadata(path) {
-            Ok(file) if file.len() == 0 => {
-                return Err(store.foreign("an empty file: the goals that were in it are lost"));
-            }
-            Ok(_) => {}
-            Err(error) if error.kind() == ErrorKind::NotFound => store.make(robot)?,
-            Err(error) => return Err(store.io(error)),
-        }
-        store.reopen()?;
-        store.name = store.christen(robot)?;
-        Ok(store)
+        let place = path.display().to_string();
+        let first = [
+            own_record(&place, ROBOT, &robot)?,
+            own_record(&place, NAME, &String::from(Id::unique()))?,
+            own_record(&place, CHECKSUM, &Checksum::default().0)?,
+        ];
+        let engine = RedbFile::open(path, &first).map_err(|error| with_place(&place, error))?;
+        Self::over(Box::new(engine), place, robot)
     }
 
-    /// Creates a new file beside its final path, and moves it there once it has a name: so a file at the path is never a half-made one.
-    fn make(&self, robot: &str) -> Result<(), StoreError> {
-        let beside = self.path.with_extension(format!("new-{}", Id::unique()));
-        let made = || {
-            let database = Database::create(&beside).map_err(|error| self.io(error))?;
-            *self.database.write().unwrap_or_else(PoisonError::into_inner) = Some(database);
-            self.christen(robot)?;
-            self.database.write().unwrap_or_else(PoisonError::into_inner).take();
-            // Another process may have been faster: then its file is used.
-            match std::fs::hard_link(&beside, &self.path) {
-                // Not every file system has links.
-                Err(error) if error.kind() != ErrorKind::AlreadyExists => {
-                    std::fs::rename(&beside, &self.path).map_err(|error| self.io(error))
-                }
-                _ => Ok(()),
-            }
+    /// The store in an engine's tables, which are named if they are new.
+    fn over(engine: Box<dyn Engine>, place: String, robot: &str) -> Result<Self, StoreError> {
+        let mut store = Self {
+            engine: Mutex::new(engine),
+            place,
+            name: String::new(),
         };
-        let result = made();
-        // The file has its final name now, or is not needed.
-        let _ = std::fs::remove_file(&beside);
-        result
+        store.name = store.christen(robot)?;
+        Ok(store)
     }
 
     /// Reopens the file: required after [`StoreError::NoRoom`] before anything can be read or written.
@@ -178,16 +153,10 @@ impl MissionStore {
     /// # Errors
     /// As [`MissionStore::open`]; again [`StoreError::NoRoom`] if there is still none.
     pub fn reopen(&self) -> Result<(), StoreError> {
-        let mut database = self.database.write().unwrap_or_else(PoisonError::into_inner);
-        database.take();
-        let opened = Database::open(&self.path).map_err(|error| match error {
-            DatabaseError::DatabaseAlreadyOpen => StoreError::Locked {
-                path: self.path.display().to_string(),
-            },
-            other => self.io(other),
-        })?;
-        *database = Some(opened);
-        Ok(())
+        self.tables()
+            .engine
+            .reopen()
+            .map_err(|error| with_place(&self.place, error))
     }
 
     /// Test write of dummy data about as large as a goal, to find out whether the disk has room.
@@ -196,27 +165,15 @@ impl MissionStore {
     /// [`StoreError::NoRoom`].
     pub fn try_to_write(&self) -> Result<(), StoreError> {
         for text in [" ".repeat(ROOM), String::new()] {
-            let write = self.begin_write()?;
-            {
-                let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
-                self.insert(&mut own, TRIED, &text)?;
-            }
-            write.commit().map_err(|error| self.io(error))?;
+            self.tables().commit(&[own_record(&self.place, TRIED, &text)?])?;
         }
         Ok(())
     }
 
-    fn begin_write(&self) -> Result<WriteTransaction, StoreError> {
-        match self.database.read().unwrap_or_else(PoisonError::into_inner).as_ref() {
-            Some(database) => database.begin_write().map_err(|error| self.io(error)),
-            None => Err(self.no_room("it could not be opened again")),
-        }
-    }
-
-    fn begin_read(&self) -> Result<ReadTransaction, StoreError> {
-        match self.database.read().unwrap_or_else(PoisonError::into_inner).as_ref() {
-            Some(database) => database.begin_read().map_err(|error| self.io(error)),
-            None => Err(self.no_room("it could not be opened again")),
+    fn tables(&self) -> Tables<'_> {
+        Tables {
+            engine: self.engine.lock().unwrap_or_else(PoisonError::into_inner),
+            place: &self.place,
         }
     }
 
@@ -226,56 +183,43 @@ impl MissionStore {
         &self.name
     }
 
-    /// Gives a new file its name and robot, or checks those of an old one. Returns the name.
+    /// Gives new tables their name and robot, or checks those of old ones. Returns the name.
     fn christen(&self, robot: &str) -> Result<String, StoreError> {
-        let write = self.begin_write()?;
-        let name = {
-            let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
-            let mut sum = Checksum::default();
-            for definition in SHARED {
-                let table = write.open_table(definition).map_err(|error| self.io(error))?;
-                self.sum(&mut sum, redb::TableHandle::name(&definition), &table)?;
+        let mut tables = self.tables();
+        let mut sum = Checksum::default();
+        for table in SHARED {
+            for (key, value) in tables.rows(table)? {
+                sum.add(table.name(), &key, &value);
             }
-            match self.single::<String>(&own, ROBOT)? {
-                Some(known) if known != robot => {
-                    return Err(self.foreign(&format!("the goals of robot `{known}`; expected those of `{robot}`")));
-                }
-                Some(_) => {}
-                None => self.insert(&mut own, ROBOT, &robot)?,
+        }
+        let mut changes = Vec::new();
+        match tables.single::<String>(Table::Own, ROBOT)? {
+            Some(known) if known != robot => {
+                return Err(tables.foreign(format!("the goals of robot `{known}`; expected those of `{robot}`")));
             }
-            let name = self.single::<String>(&own, NAME)?;
-            match self.single::<u64>(&own, CHECKSUM)?.map(Checksum) {
-                Some(stored) if stored != sum => {
-                    return Err(self.foreign("its records do not fit its checksum: it was damaged, or changed by hand"));
-                }
-                Some(_) if name.is_none() => return Err(self.foreign("its name is missing: it was damaged")),
-                Some(_) => {}
-                None => self.insert(&mut own, CHECKSUM, &sum.0)?,
+            Some(_) => {}
+            None => changes.push(own_record(&self.place, ROBOT, &robot)?),
+        }
+        let name = tables.single::<String>(Table::Own, NAME)?;
+        match tables.single::<u64>(Table::Own, CHECKSUM)?.map(Checksum) {
+            Some(stored) if stored != sum => {
+                return Err(tables.foreign("its records do not fit its checksum: it was damaged, or changed by hand"));
             }
-            match name {
-                Some(name) => name,
-                None => {
-                    let name = String::from(Id::unique());
-                    self.insert(&mut own, NAME, &name)?;
-                    name
-                }
+            Some(_) if name.is_none() => return Err(tables.foreign("its name is missing: it was damaged")),
+            Some(_) => {}
+            None => changes.push(own_record(&self.place, CHECKSUM, &sum.0)?),
+        }
+        let name = match name {
+            Some(name) => name,
+            None => {
+                let name = String::from(Id::unique());
+                changes.push(own_record(&self.place, NAME, &name)?);
+                name
             }
         };
-        write.commit().map_err(|error| self.io(error))?;
+        // Also without a change: what can be written now is found out now.
+        tables.commit(&changes)?;
         Ok(name)
-    }
-
-    fn sum(
-        &self,
-        sum: &mut Checksum,
-        name: &str,
-        table: &impl ReadableTable<&'static str, &'static [u8]>,
-    ) -> Result<(), StoreError> {
-        for row in table.iter().map_err(|error| self.io(error))? {
-            let (key, value) = row.map_err(|error| self.io(error))?;
-            sum.add(name, key.value(), value.value());
-        }
-        Ok(())
     }
 
     /// Stores a step's records: all of them or, on an error, none. Returns the writes for a standby's store.
@@ -309,16 +253,24 @@ impl MissionStore {
 
     fn journal(&self, record: &Record) -> Result<JournalWrite, StoreError> {
         let (table, key, value) = match record {
-            Record::Goal(goal) => (GOALS, goal.state.id.clone(), Some(self.encode("goal", goal)?)),
-            Record::ForgetGoal(id) => (GOALS, id.clone(), None),
-            Record::Answer(id, reply) => (ANSWERS, id.clone(), Some(self.encode("answer", reply)?)),
-            Record::ForgetAnswer(id) => (ANSWERS, id.clone(), None),
-            Record::Tree(tree) => (SINGLES, TREE.to_owned(), Some(self.encode(TREE, tree)?)),
-            Record::Motion(motion) => (SINGLES, MOTION.to_owned(), Some(self.encode(MOTION, motion)?)),
-            Record::Now(now) => (SINGLES, NOW.to_owned(), Some(self.encode(NOW, now)?)),
+            Record::Goal(goal) => (
+                Table::Goals,
+                goal.state.id.clone(),
+                Some(encode(&self.place, "goal", goal)?),
+            ),
+            Record::ForgetGoal(id) => (Table::Goals, id.clone(), None),
+            Record::Answer(id, reply) => (Table::Answers, id.clone(), Some(encode(&self.place, "answer", reply)?)),
+            Record::ForgetAnswer(id) => (Table::Answers, id.clone(), None),
+            Record::Tree(tree) => (Table::Singles, TREE.to_owned(), Some(encode(&self.place, TREE, tree)?)),
+            Record::Motion(motion) => (
+                Table::Singles,
+                MOTION.to_owned(),
+                Some(encode(&self.place, MOTION, motion)?),
+            ),
+            Record::Now(now) => (Table::Singles, NOW.to_owned(), Some(encode(&self.place, NOW, now)?)),
         };
         Ok(JournalWrite {
-            table: redb::TableHandle::name(&table).to_owned(),
+            table: table.name().to_owned(),
             key,
             value,
         })
@@ -350,57 +302,18 @@ impl MissionStore {
         instead: bool,
         leadership: Option<Leadership>,
     ) -> Result<(), StoreError> {
-        let known = |name: &str| SHARED.iter().any(|table| redb::TableHandle::name(table) == name);
-        if let Some(stray) = writes.iter().find(|write| !known(&write.table)) {
-            let reason = format!("the leader writes to an unknown table `{}`", stray.table);
-            return Err(self.failed(reason));
-        }
-        let write = self.begin_write()?;
-        {
-            let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
-            let mut sum = match instead {
-                true => Checksum::default(),
-                false => Checksum(self.single(&own, CHECKSUM)?.unwrap_or_default()),
+        let mut records = Records::new();
+        for write in writes {
+            let Some(table) = SHARED.into_iter().find(|table| table.name() == write.table) else {
+                let reason = format!("the leader writes to an unknown table `{}`", write.table);
+                return Err(self.failed(reason));
             };
-            for definition in SHARED {
-                if instead {
-                    write.delete_table(definition).map_err(|error| self.io(error))?;
-                }
-                let mut table = write.open_table(definition).map_err(|error| self.io(error))?;
-                let name = redb::TableHandle::name(&definition);
-                for write in writes.iter().filter(|write| write.table == name) {
-                    let value = write.value.as_ref().map(String::as_bytes);
-                    self.put(&mut table, &mut sum, name, &write.key, value)?;
-                }
-            }
-            self.insert(&mut own, CHECKSUM, &sum.0)?;
-            if let Some(leadership) = leadership {
-                self.insert(&mut own, LEADERSHIP, &leadership)?;
-            }
+            let value = write.value.as_ref().map(|value| value.as_bytes().to_vec());
+            records.insert((table, write.key.clone()), value);
         }
-        write.commit().map_err(|error| self.io(error))
-    }
-
-    /// Writes or removes a record of a shared table, and updates the checksum.
-    fn put(
-        &self,
-        table: &mut Table<'_, &'static str, &'static [u8]>,
-        sum: &mut Checksum,
-        name: &str,
-        key: &str,
-        value: Option<&[u8]>,
-    ) -> Result<(), StoreError> {
-        let before = match value {
-            Some(value) => table.insert(key, value),
-            None => table.remove(key),
-        };
-        if let Some(before) = before.map_err(|error| self.io(error))? {
-            sum.remove(name, key, before.value());
-        }
-        if let Some(value) = value {
-            sum.add(name, key, value);
-        }
-        Ok(())
+        let leadership = leadership.map(|leadership| own_record(&self.place, LEADERSHIP, &leadership));
+        let own = leadership.into_iter().collect::<Result<_, _>>()?;
+        self.tables().change(records, instead, own)
     }
 
     /// The complete content for a standby's store.
@@ -408,18 +321,14 @@ impl MissionStore {
     /// # Errors
     /// [`StoreError`].
     pub fn everything(&self) -> Result<Vec<JournalWrite>, StoreError> {
-        let read = self.begin_read()?;
+        let mut tables = self.tables();
         let mut writes = Vec::new();
-        for definition in SHARED {
-            let table = read.open_table(definition).map_err(|error| self.io(error))?;
-            let name = redb::TableHandle::name(&definition);
-            for row in table.iter().map_err(|error| self.io(error))? {
-                let (key, bytes) = row.map_err(|error| self.io(error))?;
-                let value = String::from_utf8(bytes.value().to_vec()).map_err(|error| self.failed(error))?;
+        for table in SHARED {
+            for (key, value) in tables.rows(table)? {
                 writes.push(JournalWrite {
-                    table: name.to_owned(),
-                    key: key.value().to_owned(),
-                    value: Some(value),
+                    table: table.name().to_owned(),
+                    key,
+                    value: Some(String::from_utf8(value).map_err(|error| self.failed(error))?),
                 });
             }
         }
@@ -431,9 +340,7 @@ impl MissionStore {
     /// # Errors
     /// [`StoreError`].
     pub fn leadership(&self) -> Result<Leadership, StoreError> {
-        let read = self.begin_read()?;
-        let own = read.open_table(OWN).map_err(|error| self.io(error))?;
-        Ok(self.single(&own, LEADERSHIP)?.unwrap_or_default())
+        Ok(self.tables().single(Table::Own, LEADERSHIP)?.unwrap_or_default())
     }
 
     /// Starts a new run: the incarnation in [`Restored`] is on disk when this returns.
@@ -441,40 +348,28 @@ impl MissionStore {
     /// # Errors
     /// [`StoreError`].
     pub fn begin_life(&self) -> Result<Restored, StoreError> {
-        let write = self.begin_write()?;
-        let restored = {
-            let answers = write.open_table(ANSWERS).map_err(|error| self.io(error))?;
-            let mut singles = write.open_table(SINGLES).map_err(|error| self.io(error))?;
-            let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
-            let lives = [
-                self.single::<u64>(&own, INCARNATION)?,
-                self.single(&singles, INCARNATION)?,
-            ];
-            let mut restored = Restored {
-                store: Some(self.name.clone()),
-                leadership: self.single(&own, LEADERSHIP)?.unwrap_or_default(),
-                goals: self.all_goals(&write.open_table(GOALS).map_err(|error| self.io(error))?)?,
-                tree: self.single(&singles, TREE)?.flatten(),
-                motion: self.single(&singles, MOTION)?.flatten(),
-                incarnation: lives.into_iter().flatten().max().unwrap_or(0) + 1,
-                now: self.single(&singles, NOW)?.unwrap_or_default(),
-                ..Restored::default()
-            };
-            for row in answers.iter().map_err(|error| self.io(error))? {
-                let (id, bytes) = row.map_err(|error| self.io(error))?;
-                restored
-                    .answers
-                    .push((id.value().to_owned(), self.decode("answer", bytes.value())?));
-            }
-            let mut sum = Checksum(self.single(&own, CHECKSUM)?.unwrap_or_default());
-            let text = self.encode(INCARNATION, &restored.incarnation)?;
-            let name = redb::TableHandle::name(&SINGLES);
-            self.put(&mut singles, &mut sum, name, INCARNATION, Some(text.as_bytes()))?;
-            self.insert(&mut own, INCARNATION, &restored.incarnation)?;
-            self.insert(&mut own, CHECKSUM, &sum.0)?;
-            restored
+        let mut tables = self.tables();
+        let lives = [
+            tables.single::<u64>(Table::Own, INCARNATION)?,
+            tables.single(Table::Singles, INCARNATION)?,
+        ];
+        let mut restored = Restored {
+            store: Some(self.name.clone()),
+            leadership: tables.single(Table::Own, LEADERSHIP)?.unwrap_or_default(),
+            goals: self.all_goals(&mut tables)?,
+            tree: tables.single(Table::Singles, TREE)?.flatten(),
+            motion: tables.single(Table::Singles, MOTION)?.flatten(),
+            incarnation: lives.into_iter().flatten().max().unwrap_or(0) + 1,
+            now: tables.single(Table::Singles, NOW)?.unwrap_or_default(),
+            ..Restored::default()
         };
-        write.commit().map_err(|error| self.io(error))?;
+        for (id, value) in tables.rows(Table::Answers)? {
+            let reply = decode(&self.place, "answer", &value)?;
+            restored.answers.push((id, reply));
+        }
+        let own = own_record(&self.place, INCARNATION, &restored.incarnation)?;
+        let shared = ((Table::Singles, INCARNATION.to_owned()), own.value.clone());
+        tables.change(Records::from([shared]), false, vec![own])?;
         Ok(restored)
     }
 
@@ -483,102 +378,18 @@ impl MissionStore {
     /// # Errors
     /// [`StoreError`].
     pub fn goals(&self) -> Result<Vec<StoredGoal>, StoreError> {
-        let read = self.begin_read()?;
-        self.all_goals(&read.open_table(GOALS).map_err(|error| self.io(error))?)
+        self.all_goals(&mut self.tables())
     }
 
-    fn all_goals(
-        &self,
-        table: &impl ReadableTable<&'static str, &'static [u8]>,
-    ) -> Result<Vec<StoredGoal>, StoreError> {
-        let mut goals = Vec::new();
-        for row in table.iter().map_err(|error| self.io(error))? {
-            let (id, bytes) = row.map_err(|error| self.io(error))?;
-            goals.push(self.decode(&format!("goal {}", id.value()), bytes.value())?);
-        }
-        Ok(goals)
-    }
-
-    fn single<T: DeserializeOwned>(
-        &self,
-        singles: &impl ReadableTable<&'static str, &'static [u8]>,
-        name: &str,
-    ) -> Result<Option<T>, StoreError> {
-        let Some(bytes) = singles.get(name).map_err(|error| self.io(error))? else {
-            return Ok(None);
-        };
-        self.decode(name, bytes.value()).map(Some)
-    }
-
-    fn insert<T: Serialize>(
-        &self,
-        table: &mut Table<'_, &'static str, &'static [u8]>,
-        name: &str,
-        value: &T,
-    ) -> Result<(), StoreError> {
-        let text = self.encode(name, value)?;
-        table
-            .insert(name, text.as_bytes())
-            .map(drop)
-            .map_err(|error| self.io(error))
-    }
-
-    fn encode<T: Serialize>(&self, record: &str, value: &T) -> Result<String, StoreError> {
-        serde_json::to_string(value).map_err(|error| self.record(record, &error))
-    }
-
-    fn decode<T: DeserializeOwned>(&self, record: &str, bytes: &[u8]) -> Result<T, StoreError> {
-        serde_json::from_slice(bytes).map_err(|error| self.record(record, &error))
-    }
-
-    fn record(&self, record: &str, error: &serde_json::Error) -> StoreError {
-        StoreError::Record {
-            path: self.path.display().to_string(),
-            record: record.to_owned(),
-            reason: error.to_string(),
-        }
-    }
-
-    fn io(&self, error: impl Into<redb::Error>) -> StoreError {
-        match error.into() {
-            redb::Error::Io(error) if has_no_room(&error) => self.no_room(error),
-            redb::Error::PreviousIo => self.no_room("a write failed before"),
-            error => self.failed(error),
-        }
-    }
-
-    fn no_room(&self, reason: impl std::fmt::Display) -> StoreError {
-        StoreError::NoRoom {
-            path: self.path.display().to_string(),
-            reason: reason.to_string(),
-        }
-    }
-
-    fn foreign(&self, what: &str) -> StoreError {
-        StoreError::Foreign {
-            path: self.path.display().to_string(),
-            reason: format!(
-                "{what}; move the file away to begin without goals (where other missions serve the robot, or it refuses this one then, \
-                 `zenav lease forget` gives the old goals up)"
-            ),
-        }
+    fn all_goals(&self, tables: &mut Tables<'_>) -> Result<Vec<StoredGoal>, StoreError> {
+        let rows = tables.rows(Table::Goals)?.into_iter();
+        rows.map(|(id, value)| decode(&self.place, &format!("goal {id}"), &value))
+            .collect()
     }
 
     fn failed(&self, error: impl std::fmt::Display) -> StoreError {
-        StoreError::Io {
-            path: self.path.display().to_string(),
-            reason: error.to_string(),
-        }
+        with_place(&self.place, EngineError::Failed(error.to_string()))
     }
-}
-
-/// Whether a disk is full or read-only.
-fn has_no_room(error: &std::io::Error) -> bool {
-    use ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull, WriteZero};
-    matches!(
-        error.kind(),
-        StorageFull | ReadOnlyFilesystem | QuotaExceeded | FileTooLarge | WriteZero
-    )
 }
 
 #[cfg(test)]

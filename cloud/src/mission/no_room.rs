@@ -15,8 +15,8 @@ use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::{MissionError, Pending, Requests, Service, Turn, announce, blocking, identity, metrics};
 
-/// Interval between attempts to store something.
-const AGAIN: Duration = Duration::from_secs(1);
+/// Interval between attempts to store something: a robot at rest waits for the next one once there is room.
+const AGAIN: Duration = Duration::from_millis(250);
 
 /// An open store, and the mission's requests and token if it already shows itself.
 type Opened = (Arc<MissionStore>, Option<(Requests, AliveToken)>);

@@ -192,7 +192,7 @@ const EXEMPT: &[(&str, &[Effect], &str)] = &[
     ("cloud/mapping/src/carmen.rs", &[Disk], "opens logs"),
     ("cloud/mapping/src/map_file.rs", &[Disk], "reads and writes map files"),
     (
-        "cloud/mission/src/store.rs",
+        "cloud/mission/src/store/redb.rs",
         &[Disk],
         "the mission's store makes its folder",
     ),
