@@ -257,6 +257,11 @@ fn read_base(folder: &Path, id: &str) -> Result<StoredMap, KeepError> {
         })
 }
 
+/// Whether there is a session in a folder.
+pub(super) fn is_in(folder: &Path) -> io::Result<bool> {
+    folder.join(SESSION).try_exists()
+}
+
 /// Deletes the session of a folder.
 pub(super) fn remove(folder: &Path) -> io::Result<()> {
     // The session goes first: without it the scans mean nothing.
@@ -275,7 +280,7 @@ pub(super) fn remove(folder: &Path) -> io::Result<()> {
 /// Moves a session out of the way, to unused names: `slam.session.KIND`, or the same with a number appended. Returns the session's new
 /// path; `None` if there is none.
 pub(super) fn set_aside(folder: &Path, kind: &str) -> io::Result<Option<PathBuf>> {
-    if !folder.join(SESSION).try_exists()? {
+    if !is_in(folder)? {
         return Ok(None);
     }
     let mut number = 1;

@@ -520,6 +520,39 @@ async fn a_service_that_took_over_has_the_last_leader_s_folder_once_its_map_is_s
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_held_map_that_slam_took_over_is_what_the_next_start_begins_with_once_it_is_stored() {
+    let mut stage = Stage::new(PoseSource::Slam).await;
+    let folder = stage.folder(1);
+    let is_newest = || storage::is_of_last_leader(ROBOT, Some(&folder));
+    // An earlier leadership has left its session in the folder.
+    let earlier = stage.start(1).await;
+    stage.map(has_cells).await;
+    earlier.end().await;
+    let old = std::fs::read(folder.join("slam.session")).unwrap();
+
+    let (leader, _) = stage.lead().await;
+    stage.change_map(MapAction::Hold, None).await;
+    let copy = stage.copy(1).await;
+    let before = stage.map(has_cells).await;
+    leader.kill().await;
+    let held = stage.map_after(&before).await;
+    assert!(!is_newest(), "the map that it leads with is not stored");
+    stage.change_map(MapAction::Save, None).await;
+    assert!(is_newest());
+    assert_eq!(std::fs::read(folder.join("slam.session.before")).unwrap(), old);
+
+    copy.kill().await;
+    let again = stage.start(1).await;
+    let begun = stage.map_after(&held).await;
+    assert!(
+        begun.info.stored && kept(&held, &begun) > 0.98,
+        "{}",
+        kept(&held, &begun)
+    );
+    stage.end([again]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn slam_s_session_since_a_takeover_has_the_map_that_was_taken_over() {
     let (mut stage, second, _, taken_over) = succeeded(PoseSource::Slam).await;
     let folder = stage.folder(1);

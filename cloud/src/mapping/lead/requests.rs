@@ -146,7 +146,7 @@ impl Leadership {
         match request.action {
             MapAction::Get | MapAction::List => {}
             MapAction::Save => {
-                self.save(request.name.as_deref()).await?;
+                self.save(request.name.as_deref(), now).await?;
                 if request.name.is_none() {
                     self.keep(now, true).await?;
                 }

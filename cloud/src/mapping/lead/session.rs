@@ -130,6 +130,30 @@ impl Leadership {
         Err(Refusal::internal(format!("the session of SLAM is not kept: {error}")))
     }
 
+    /// Makes the map that was stored in the robot's folder the one that the next start begins with. A session of SLAM that belongs to another
+    /// map is set aside.
+    pub(super) async fn leave_map(&mut self, now: Stamp) -> Result<(), Refusal> {
+        let _ = self.was_kept(now).await;
+        let Some(folder) = self.config.folder.clone() else {
+            return Ok(());
+        };
+        let (robot, term) = (self.config.robot.clone(), self.pulse.leader().term);
+        let is_slam = self.config.poses.source == PoseSource::Slam;
+        let is_own = self.session.is_own;
+        let left = tokio::task::spawn_blocking(move || {
+            if is_slam && !is_own {
+                make_room(&robot, &folder)?;
+            }
+            // This map's own session is resumed in preference to the map, and has noted its leadership.
+            if !is_slam || !slam_session::is_in(&folder)? {
+                storage::note_leadership(&robot, Some(&folder), term);
+            }
+            Ok(())
+        });
+        let left = left.await.map_err(Refusal::internal)?;
+        left.map_err(|error| Refusal::internal(KeepError::Io(error)))
+    }
+
     /// Deletes the session of SLAM because another map is to start. A session that this run did not resume is set aside; with other pose
     /// sources there is nothing to delete.
     pub(super) async fn forget_session(&mut self, now: Stamp) -> Result<(), Refusal> {
@@ -158,7 +182,7 @@ fn make_room(robot: &str, folder: &Path) -> io::Result<()> {
         tracing::warn!(
             robot,
             aside = %aside.display(),
-            "SLAM did not begin with its session, as a map was given: the session is set aside"
+            "SLAM did not begin with its session, but with another map: the session is set aside"
         );
     }
     Ok(())

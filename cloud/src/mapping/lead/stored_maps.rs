@@ -9,8 +9,7 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{MapRequest, Refusal, StoredMapInfo};
 use zenav_protocol::time::Stamp;
 
-use super::super::PoseSource;
-use super::super::storage::{self, new_map};
+use super::super::storage::new_map;
 use super::Leadership;
 
 /// Folder of named maps, in a robot's folder.
@@ -31,15 +30,12 @@ impl Leadership {
     }
 
     /// Stores the map as the robot's own, or under a name; scans wait meanwhile.
-    pub(super) async fn save(&mut self, name: Option<&str>) -> Result<(), Refusal> {
+    pub(super) async fn save(&mut self, name: Option<&str>, now: Stamp) -> Result<(), Refusal> {
         let folder = self.folder(name)?;
         let map = self.core.mapper.snapshot();
         if map.info.spec.is_empty() {
             return Err(Refusal::rejected("the map cannot be saved: it has no cells yet"));
         }
-        // A service of SLAM begins with its session, whatever map lies beside it.
-        let is_begun_with = name.is_none() && self.config.poses.source != PoseSource::Slam;
-        let (robot, term) = (self.config.robot.clone(), self.pulse.leader().term);
         let saved = tokio::task::spawn_blocking(move || {
             let stored = StoredMap {
                 grid: map.grid(),
@@ -51,16 +47,13 @@ impl Leadership {
                     touched: map.touched,
                 },
             };
-            let saved = store::save(&folder, &stored).map_err(|error| error.to_string());
-            if saved.is_ok() && is_begun_with {
-                storage::note_leadership(&robot, Some(&folder), term);
-            }
-            saved
+            store::save(&folder, &stored).map_err(|error| error.to_string())
         });
         match saved.await.map_err(|error| error.to_string()) {
             Ok(Ok(path)) => {
                 tracing::info!(robot = self.config.robot, file = %path.display(), "map saved");
                 if name.is_none() {
+                    self.leave_map(now).await?;
                     self.core.mark_stored();
                 }
                 Ok(())
