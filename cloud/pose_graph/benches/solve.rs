@@ -1,6 +1,10 @@
 //! Duration of a solve, its certificate and robust closures: processor time of the thread, on graphs from files or a generated one.
 //!
 //! `cargo bench -p zenav-pose-graph`; with `ZENAV_BENCH_GRAPHS=DIR` on each `*.g2o` of a folder, else on a seeded walk of 3,500 nodes.
+//!
+//! With `GTSAM_PYTHON=PYTHON`, the interpreter of a virtual environment with PyPI's `gtsam`, GTSAM solves the same graphs from the same
+//! start with the same information matrices, single-threaded like ours, with its default parameters and nothing to certify. Its robust
+//! methods trust odometry, as ours does, and get our limit for a false closure.
 
 #![allow(
     clippy::unwrap_used,
@@ -9,20 +13,36 @@
 )]
 
 use std::ops::RangeInclusive;
+use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use zenav_fixtures::{Row, ThreadTime, on_thread_time};
+use zenav_fixtures::{Row, ThreadTime, on_thread_time, thread_time};
 use zenav_pose_graph::{
-    DescentSettings, PoseGraph, RobustSettings, certify, chordal_start, descend, g2o, solve, solve_robust,
+    DescentSettings, PoseGraph, RobustSettings, Solution, certify, chordal_start, descend, g2o, solve, solve_robust,
 };
+use zenav_protocol::geometry::Pose2;
 
+#[path = "peers/gtsam.rs"]
+mod gtsam;
 #[path = "../tests/manhattan/mod.rs"]
 mod manhattan;
+
+use gtsam::Gtsam;
 
 /// Seeds of the false closures.
 const SEEDS: RangeInclusive<u64> = 1001..=1030;
 /// Poses that differ by no more than this are the same optimum, m.
 const SAME: f64 = 1e-3;
+/// Runs of a solve beside a peer, of either.
+const RUNS: usize = 20;
+/// GTSAM's methods for graphs that are true, and for those that may not be.
+const METHODS: [(&str, &str); 2] = [
+    ("gauss_newton", "gtsam Gauss-Newton"),
+    ("levenberg_marquardt", "gtsam Levenberg-Marquardt"),
+];
+const ROBUST_METHODS: [(&str, &str); 2] = [("gnc", "gtsam GNC"), ("huber", "gtsam Huber")];
+/// Seeds of the false closures beside a peer, the first ones: GNC takes five seconds each in CSAIL, and more than a minute in M3500.
+const PEER_SEEDS: usize = 5;
 
 fn graphs() -> Vec<(String, PoseGraph)> {
     let Ok(folder) = std::env::var("ZENAV_BENCH_GRAPHS") else {
@@ -42,6 +62,73 @@ fn graphs() -> Vec<(String, PoseGraph)> {
         )
     };
     paths.iter().map(read).collect()
+}
+
+/// Solves beside GTSAM's, both from the file's own start; and whether both find the same optimum.
+fn beside(peer: &Gtsam, name: &str, graph: &PoseGraph, solution: &Solution) {
+    let (descent, limit) = (DescentSettings::default(), RobustSettings::default().max_chi_squared);
+    let took = |_| {
+        let begin = thread_time();
+        let _ = std::hint::black_box(solve(graph, &descent));
+        ms(thread_time().saturating_sub(begin))
+    };
+    let _ = solve(graph, &descent);
+    let ours = median((0..RUNS).map(took).collect());
+    for (method, what) in METHODS {
+        let theirs = peer.solve(method, graph, RUNS, limit);
+        Row::new(format!("{name}: solve, ours with its certificate"), ours, "ms")
+            .beside(what, theirs.ms)
+            .print();
+        let mut ours_first = graph.clone();
+        ours_first.set_poses(&solution.poses).unwrap();
+        let from_ours = peer.solve(method, &ours_first, 1, limit);
+        println!(
+            "{name}, {what}: chi squared {:.4} by its errors (ours {:.4} by ours), {:.1e} m from our optimum, {:.1e} m from where it ends from there",
+            theirs.chi_squared,
+            solution.chi_squared,
+            farthest(&theirs.poses, &solution.poses),
+            farthest(&theirs.poses, &from_ours.poses),
+        );
+    }
+}
+
+/// Robust solves beside GTSAM's. `ends`: ours, in ms and m from our optimum of the graph without false closures.
+fn beside_robust(peer: &Gtsam, name: &str, graph: &PoseGraph, spoiled: &[PoseGraph], ends: &[(f64, f64)]) {
+    let limit = RobustSettings::default().max_chi_squared;
+    let optimum = peer.solve(METHODS[1].0, graph, 1, limit).poses;
+    for (method, what) in ROBUST_METHODS {
+        let theirs: Vec<(f64, f64)> = spoiled
+            .iter()
+            .map(|graph| peer.solve(method, graph, 1, limit))
+            .map(|answer| (answer.ms, farthest(&answer.poses, &optimum)))
+            .collect();
+        println!("{name}, half of the closures false, {what}: ms and m from its optimum {theirs:.2?}");
+        let times = |ends: &[(f64, f64)]| median(ends.iter().map(|end| end.0).collect());
+        let of = |what| format!("{name}, half of the closures false: {what} {} seeds", spoiled.len());
+        Row::new(of("time, median of"), times(ends), "ms")
+            .beside(what, times(&theirs))
+            .print();
+        Row::new(of("same optimum, of"), same(ends), "seeds")
+            .beside(what, same(&theirs))
+            .print();
+    }
+}
+
+fn same(ends: &[(f64, f64)]) -> f64 {
+    ends.iter().filter(|(_, away)| *away <= SAME).count() as f64
+}
+
+fn farthest(a: &[Pose2], b: &[Pose2]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.distance(b)).fold(0.0, f64::max)
+}
+
+fn ms(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }
 
 fn benches(criterion: &mut Criterion<ThreadTime>) {
@@ -72,12 +159,14 @@ fn benches(criterion: &mut Criterion<ThreadTime>) {
             manhattan::add_false(&mut spoiled, 1.0, seed);
             spoiled
         };
-        let mut same = 0;
+        let mut ends = Vec::new();
         for seed in SEEDS {
-            let kept = solve_robust(&spoiled(seed), &descent, &robust).unwrap();
-            let away = kept.solution.poses.iter().zip(&solution.poses);
-            let away = away.map(|(a, b)| a.distance(b)).fold(0.0, f64::max);
-            same += u32::from(away <= SAME);
+            let graph = spoiled(seed);
+            let begin = thread_time();
+            let kept = solve_robust(&graph, &descent, &robust).unwrap();
+            let took = thread_time().saturating_sub(begin);
+            let away = farthest(&kept.solution.poses, &solution.poses);
+            ends.push((ms(took), away));
             println!(
                 "{name}, half of the closures false, seed {seed}: {} true ones lost, {} false ones kept, {away:.1e} m from the optimum, {:?}",
                 kept.weights[..true_edges]
@@ -92,7 +181,12 @@ fn benches(criterion: &mut Criterion<ThreadTime>) {
             );
         }
         let what = format!("{name}, half of the closures false: same optimum, of {}", SEEDS.count());
-        Row::new(what, f64::from(same), "seeds").print();
+        Row::new(what, same(&ends), "seeds").print();
+        if let Some(peer) = Gtsam::new() {
+            beside(&peer, &name, &graph, &solution);
+            let graphs: Vec<PoseGraph> = SEEDS.take(PEER_SEEDS).map(spoiled).collect();
+            beside_robust(&peer, &name, &graph, &graphs, &ends[..PEER_SEEDS]);
+        }
         let graph = spoiled(*SEEDS.start());
         group.sample_size(10);
         group.bench_function("half_of_the_closures_false", |bench| {

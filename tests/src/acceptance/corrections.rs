@@ -5,6 +5,8 @@
 //! on its map has been moved, and people walk straight across the rooms. Its wheels and gyro have errors that are drawn from the
 //! filter's priors. Mapping's core localises its scans beside the loop, and sends its corrections over a bad link.
 
+pub mod amcl;
+
 use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -53,10 +55,14 @@ pub struct Tally {
     pub took: Vec<f64>,
     /// Number of scans with a trusted pose, of those among them that were wrong, and of all.
     pub trusted: [usize; 3],
-    /// For each step the sum of the NEES of (x, y, yaw), and the number of drives in it.
+    /// NEES of (x, y, yaw) of each correction, at the stamp of its scan.
+    pub matched: Vec<f64>,
+    /// For each step the sum of the NEES of (x, y, yaw) of the robot's pose, and the number of drives in it.
     pub nees: Vec<(f64, u32)>,
     /// Distance driven, m.
     pub length: f64,
+    /// AMCL, if it runs beside: see [`amcl::USES`].
+    pub amcl: [amcl::Sums; 2],
 }
 
 /// The link from mapping to the robot.
@@ -123,7 +129,7 @@ pub fn drive(tally: &mut Tally, seed: u64, secs: f64, clock: &dyn Fn() -> Durati
         under_way: Vec::new(),
     };
     let mut truths = Truths::default();
-    let mut matcher = Matcher::new(&map);
+    let (mut matcher, mut peer) = (Matcher::new(&map), amcl::Log::new(&map));
     let (mut ticks, mut goals, mut told) = (0_u64, 0, None::<PoseEstimate>);
     while stage.now().as_secs() < secs {
         if stage.robots[0].goal().is_none_or(|goal| goal.state.is_end()) && ticks.is_multiple_of(50) {
@@ -138,6 +144,9 @@ pub fn drive(tally: &mut Tally, seed: u64, secs: f64, clock: &dyn Fn() -> Durati
         truths.note(now, stage.truth(0).map_from_base);
         ticks += 1;
         for scan in &scans {
+            if let Some(peer) = &mut peer {
+                peer.note(scan, truths.at(scan.stamp));
+            }
             if let Some(correction) = matcher.step(tally, scan, &truths, clock) {
                 link.send(now, correction);
             }
@@ -151,7 +160,7 @@ pub fn drive(tally: &mut Tally, seed: u64, secs: f64, clock: &dyn Fn() -> Durati
         }
     }
     tally.length += stage.truth(0).length;
-    Ok(())
+    peer.map_or(Ok(()), |peer| peer.run(seed, &mut tally.amcl))
 }
 
 /// One tick; returns the robot's scans and poses.
@@ -215,25 +224,35 @@ impl Matcher {
             tally.errors[0].push(off);
             tally.errors[1].push(wrap_angle(located.pose.yaw - truth.yaw).abs());
         }
-        self.core.insert(scan, &scan.boot_id).correction
+        let correction = self.core.insert(scan, &scan.boot_id).correction;
+        let told = correction.as_ref().zip(truths.at(scan.stamp));
+        tally
+            .matched
+            .extend(told.and_then(|(told, truth)| nees(told.map_from_base, &told.covariance, truth)));
+        correction
     }
 }
 
 impl Tally {
     /// Compares the robot's error in a step with its covariance.
     fn compare(&mut self, step: usize, told: &PoseEstimate, truths: &Truths) {
-        let inverse = Matrix3::from_row_slice(&told.covariance).try_inverse();
-        let Some((truth, inverse)) = truths.at(told.stamp).zip(inverse) else {
+        let of = |truth| nees(told.map_from_base, &told.covariance, truth);
+        let Some(nees) = truths.at(told.stamp).and_then(of) else {
             return;
         };
-        let Pose2 { x, y, yaw } = told.map_from_base;
-        let error = Vector3::new(x - truth.x, y - truth.y, wrap_angle(yaw - truth.yaw));
         if self.nees.len() <= step {
             self.nees.resize(step + 1, (0.0, 0));
         }
         let (sum, drives) = self.nees[step];
-        self.nees[step] = (sum + error.dot(&(inverse * error)), drives + 1);
+        self.nees[step] = (sum + nees, drives + 1);
     }
+}
+
+/// The error of a pose, squared and relative to its covariance.
+fn nees(pose: Pose2, covariance: &[f64; 9], truth: Pose2) -> Option<f64> {
+    let inverse = Matrix3::from_row_slice(covariance).try_inverse()?;
+    let error = Vector3::new(pose.x - truth.x, pose.y - truth.y, wrap_angle(pose.yaw - truth.yaw));
+    Some(error.dot(&(inverse * error)))
 }
 
 /// The world file of the house after its furniture was moved, with people in its rooms.

@@ -11,6 +11,8 @@ use zenav_tests::acceptance::{closure, corrections, everywhere, kidnapped, pose}
 
 use crate::Verdict;
 
+/// 95 % of chi-square with three degrees of freedom.
+const COVERED: f64 = 7.815;
 /// Duration of each drive with corrections over a bad link, s.
 const DRIVE_SECS: f64 = 180.0;
 /// Largest error of 95 % of the poses, m and degrees.
@@ -155,10 +157,14 @@ pub fn corrections(runs: u64, first: u64) -> Verdict {
     let (means, drives) = pose::means(&tally.nees, runs);
     let band = pose::band(3.0, drives);
     let (share, mean) = pose::share(&means, band);
+    let matches = tally.matched.len().max(1) as f64;
+    let own = tally.matched.iter().sum::<f64>() / matches;
+    let covered = tally.matched.iter().filter(|nees| **nees <= COVERED).count() as f64 / matches;
     println!(
-        "{runs} drives, {:.0} m: localised {half:.3} m off (median), {most:.3} m and {turned:.2} deg (95 %), {worst:.3} m at most; {trusted} of {scans} scans trusted, {wrong} of them wrong; {:.2} ms a scan; NEES in [{:.2}, {:.2}] in {:.1} % of steps, mean {mean:.2}",
+        "{runs} drives, {:.0} m: localised {half:.3} m off (median), {most:.3} m and {turned:.2} deg (95 %), {worst:.3} m at most; {trusted} of {scans} scans trusted, {wrong} of them wrong; {:.2} ms a scan; NEES of corrections {own:.2} (mean), {:.1} % within 95 % of their covariance; NEES of the robot in [{:.2}, {:.2}] in {:.1} % of steps, mean {mean:.2}",
         tally.length,
         1e3 * took,
+        100.0 * covered,
         band.0,
         band.1,
         100.0 * share,
@@ -169,9 +175,35 @@ pub fn corrections(runs: u64, first: u64) -> Verdict {
         ("processor time of a scan, mean", 1e3 * took, "ms"),
         ("scans without a trusted pose", (scans - trusted) as f64, ""),
         ("trusted poses that are wrong", wrong as f64, ""),
+        ("NEES of corrections, mean", own, ""),
+        ("corrections within 95 % of their covariance", 100.0 * covered, "%"),
+        ("NEES of the robot, mean", mean, ""),
         ("NEES of the robot in its 95 % band", 100.0 * share, "% of steps"),
     ] {
         Row::new(name, value, unit).print();
+    }
+    let ours = [
+        ("error of a scan's pose, median", half, "m"),
+        ("error of a scan's pose, 95 %", most, "m"),
+        ("error of its heading, 95 %", turned, "deg"),
+        ("processor time of a scan, mean", 1e3 * took, "ms"),
+    ];
+    for ((_, peer), sums) in corrections::amcl::USES.iter().zip(&mut tally.amcl) {
+        let (scans, [metres, radians]) = (sums.took.len(), &mut sums.errors);
+        if scans == 0 {
+            continue;
+        }
+        let theirs = [
+            percentile(metres, 0.5),
+            percentile(metres, 0.95),
+            percentile(radians, 0.95).to_degrees(),
+            1e3 * sums.took.iter().sum::<f64>() / scans as f64,
+        ];
+        for ((what, ours, unit), theirs) in ours.into_iter().zip(theirs) {
+            Row::new(what, ours, unit).beside(peer, theirs).print();
+        }
+        let (worst, updates) = (percentile(metres, 1.0), sums.updates);
+        println!("{peer}: {worst:.3} m at most, {updates} of {scans} scans updated the filter");
     }
     Ok(most <= EXACT.0 && turned <= EXACT.1 && took <= FAST && wrong == 0 && share >= CONSISTENT)
 }
