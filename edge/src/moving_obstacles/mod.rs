@@ -39,6 +39,12 @@ const ONE: f64 = 0.5;
 /// An obstacle may be noted so many scans before its track begins.
 const FEW_SCANS: f64 = 3.5;
 
+/// A point this near to a track's disc belongs to it, m.
+const ON_TRACK: f64 = 0.2;
+
+/// Two obstacles with no more than this between their discs may be one track, m.
+const BETWEEN: f64 = 0.25;
+
 /// Obstacles without a track are numbered from here on; the numbers of tracks are lower. One that the bumper felt has another bit.
 const UNTRACKED: u64 = 1 << 62;
 const FELT: u64 = 1 << 63;
@@ -165,15 +171,18 @@ impl MovingObstacles {
         let places: Vec<_> = points.iter().filter(goes).copied().collect();
         self.forget_reappeared(scan, beside);
         self.scanned = Some(now);
+        self.note_lost(&places, scan, near);
         for place in places {
-            let track = self
-                .tracks
-                .at(place)
-                .map(|track| (track.id, track.born, track.sure_radius()));
+            let track = self.track_at(place, now);
+            // Where a track is only expected, what is there may be another one.
+            let is_seen = track.is_some_and(|track| track.seen == now || track.is_robot());
+            let track = track.map(|track| (track.id, track.born, track.sure_radius()));
             let speed = self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight);
             let was_near = match track {
-                Some((id, born, _)) => self.supersede(id, born, place, speed, now, FEW_SCANS / scan.lidar.rate_hz),
-                None => false,
+                Some((id, born, _)) if is_seen => {
+                    self.supersede(id, born, place, speed, now, FEW_SCANS / scan.lidar.rate_hz)
+                }
+                _ => false,
             };
             let of = track
                 .map(|(id, ..)| id)
@@ -187,6 +196,44 @@ impl MovingObstacles {
                 of,
             });
         }
+    }
+
+    /// Notes the tracks that the scan does not show, but that may be in one that it shows at these places beside the blind spot: two obstacles
+    /// that overlap look like one, and either may go in. Each is noted once, and what was noted of it before stays: it may have gone in there.
+    fn note_lost(&mut self, places: &[Point2<f64>], scan: &ProjectedScan<'_>, near: f64) {
+        let (now, base_from_odom) = (scan.stamp, scan.odom_from_base.inverse());
+        let to_blind_spot = |place: &Point2<f64>| self.view.distance_to_blind_spot(base_from_odom * place);
+        let is_lost = |track: &&Track| track.seen < now && !track.is_robot();
+        let note = |lost: &Track| {
+            let may_hide = |track: &Track| {
+                let between = (track.position - lost.position).norm() - track.radius - lost.radius;
+                track.seen == now && between <= BETWEEN
+            };
+            let hides = |place: &&Point2<f64>| self.track_at(**place, now).is_some_and(may_hide);
+            let place = *places
+                .iter()
+                .filter(hides)
+                .min_by(|a, b| to_blind_spot(a).total_cmp(&to_blind_spot(b)))?;
+            let speed = self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight);
+            Some(RecentPlace {
+                place,
+                stamp: now,
+                speed: speed.max(lost.most_speed()),
+                is_near: (place - scan.laser()).norm() <= near,
+                radius: lost.sure_radius().min(SURE_RADIUS),
+                of: lost.id,
+            })
+        };
+        let noted: Vec<RecentPlace> = self.tracks.iter().filter(is_lost).filter_map(note).collect();
+        noted.into_iter().for_each(|place| self.occluded.note(place));
+    }
+
+    /// The track that a place (odometry frame) of the newest scan belongs to: rather one that the scan shows.
+    fn track_at(&self, place: Point2<f64>, now: Stamp) -> Option<&Track> {
+        let off = |track: &Track| (place - track.position).norm() - track.radius;
+        let seen = self.tracks.seen(now).filter(|track| off(track) <= ON_TRACK);
+        let nearest = seen.min_by(|a, b| off(a).total_cmp(&off(b)));
+        nearest.or_else(|| self.tracks.at(place))
     }
 
     /// Drops what was noted of a track before it was seen at a place (odometry frame): its earlier positions, and once the number under which
@@ -373,227 +420,4 @@ impl MovingObstacles {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::field_of_view::ScanProjector;
-    use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::LidarModel;
-
-    fn none_yet(model: &RobotModel, fastest: f64) -> MovingObstacles {
-        let view = FieldOfView::new(model.first_lidar(), &model.footprint);
-        let mut settings = EdgeSettings::default();
-        settings.passive_safety.speed_in_view = Some(fastest);
-        settings.passive_safety.speed_out_of_sight = Some(fastest);
-        MovingObstacles::new(model, view, &settings)
-    }
-
-    /// A wall at x = 3, and a post of some beams at x = `post`, both in the odometry frame.
-    fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, post: Option<f64>) -> Sweep {
-        let laser = base * lidar.mount;
-        zenav_fixtures::sweep(lidar, secs, |angle| {
-            let wall = if angle.cos() > 0.2 {
-                (3.0 - laser.x) / angle.cos()
-            } else {
-                f64::INFINITY
-            };
-            let before = post.filter(|_| angle.abs() < 0.05).map_or(wall, |at| at - laser.x);
-            wall.min(before)
-        })
-    }
-
-    #[test]
-    fn a_departed_return_at_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
-        let robot = zenav_fixtures::robot("neato");
-        let lidar = robot.first_lidar().unwrap();
-        let mut tracked = none_yet(&robot, 0.3);
-        for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {
-            let range = |angle: f64| 1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 };
-            let sweep = zenav_fixtures::sweep(lidar, secs, range);
-            tracked.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
-        }
-        let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).map(|mover| mover.at).collect();
-        assert!(
-            !points.is_empty() && points.iter().all(|point| point.x < -1.0),
-            "{points:?}"
-        );
-    }
-
-    #[test]
-    fn an_approaching_post_is_detected_and_a_static_one_is_not() {
-        let robot = zenav_fixtures::robot("tiago");
-        let lidar = robot.first_lidar().unwrap();
-        let (mut still, mut moving) = (none_yet(&robot, 0.6), none_yet(&robot, 0.6));
-        let mut projector = ScanProjector::new(lidar);
-        for step in 0..20 {
-            let secs = 0.1 * f64::from(step);
-            // The robot drives and turns: what stands still stands.
-            let base = Pose2::new(0.05 * f64::from(step), 0.0, 0.0);
-            for (tracked, post) in [(&mut still, 2.0), (&mut moving, 2.4 - 0.03 * f64::from(step))] {
-                let sweep = sweep(lidar, secs, base, Some(post));
-                tracked.insert(0, &projector.project(&sweep, base).unwrap());
-            }
-        }
-        assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);
-        assert!(moving.in_base(Pose2::IDENTITY).count() >= 2);
-        let (now, long_after) = (Stamp::from_secs(2.0), Stamp::from_secs(100.0));
-        assert_eq!([still.is_quiet(now), moving.is_quiet(now)], [true, false]);
-        assert!(moving.is_quiet(long_after));
-    }
-
-    #[test]
-    fn somebody_felt_behind_is_not_forgotten_for_somebody_who_has_been_in_sight_all_along() {
-        let robot = zenav_fixtures::robot("tiago");
-        let lidar = robot.first_lidar().unwrap();
-        let mut moving = none_yet(&robot, 6.0);
-        let mut projector = ScanProjector::new(lidar);
-        for step in 0..30 {
-            let secs = 0.1 * f64::from(step);
-            let sweep = sweep(lidar, secs, Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
-            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
-            if step == 20 {
-                moving.note_occlusion(Point2::new(-0.4, 0.0), Stamp::from_secs(secs));
-            }
-        }
-        assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
-        assert_eq!(moving.occluded(Stamp::from_secs(2.9)).count(), 1);
-    }
-
-    #[test]
-    fn of_two_who_are_hidden_one_who_comes_out_takes_one_along() {
-        let robot = zenav_fixtures::robot("tiago");
-        let lidar = robot.first_lidar().unwrap();
-        let mut moving = none_yet(&robot, 1.4);
-        for y in [-0.6, 0.6] {
-            moving.note_occlusion(Point2::new(-0.4, y), Stamp::ZERO);
-        }
-        let mut projector = ScanProjector::new(lidar);
-        for step in 1..40 {
-            let secs = 0.1 * f64::from(step);
-            let sweep = sweep(lidar, secs, Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
-            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
-        }
-        assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
-        assert_eq!(moving.occluded(Stamp::from_secs(4.0)).count(), 1);
-    }
-
-    #[test]
-    fn somebody_hidden_is_not_forgotten_for_one_whom_only_a_walking_person_could_be() {
-        let robot = zenav_fixtures::robot("tiago");
-        let lidar = robot.first_lidar().unwrap();
-        // The robot's own top speed counts, unless another speed is set.
-        for (speed, left) in [(None, 1), (Some(1.4), 0)] {
-            let mut settings = EdgeSettings::default();
-            settings.passive_safety.speed_out_of_sight = speed;
-            let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
-            let mut moving = MovingObstacles::new(&robot, view, &settings);
-            moving.note_occlusion(Point2::new(-2.0, 0.0), Stamp::ZERO);
-            let mut projector = ScanProjector::new(lidar);
-            for step in 1..40 {
-                let secs = 0.1 * f64::from(step);
-                let sweep = sweep(lidar, secs, Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
-                moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
-            }
-            assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
-            assert_eq!(moving.occluded(Stamp::from_secs(3.9)).count(), left, "{speed:?}");
-            let hidden = moving.occluded(Stamp::from_secs(3.9)).next();
-            assert!(hidden.is_none_or(|hidden| hidden.speed > 1.39), "it may be that fast");
-        }
-    }
-
-    #[test]
-    fn a_track_that_went_in_itself_comes_out_for_nobody_else() {
-        let robot = zenav_fixtures::robot("tiago");
-        let lidar = robot.first_lidar().unwrap();
-        let mut moving = none_yet(&robot, 6.0);
-        let mut projector = ScanProjector::new(lidar);
-        let mut hidden = false;
-        for step in 1..30 {
-            let stamp = Stamp::from_secs(0.1 * f64::from(step));
-            let sweep = sweep(
-                lidar,
-                stamp.as_secs(),
-                Pose2::IDENTITY,
-                Some(2.6 - 0.03 * f64::from(step)),
-            );
-            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
-            let track = moving.tracks().iter().next().cloned();
-            if let Some(track) = track.filter(|_| !hidden) {
-                // One was felt before the track was born, which could be that one; but the track was noted itself.
-                hidden = true;
-                let at = |of, place, stamp| RecentPlace {
-                    place,
-                    stamp,
-                    speed: 6.0,
-                    is_near: true,
-                    radius: 0.0,
-                    of,
-                };
-                moving.came_out.clear();
-                moving.occluded.note(at(FELT | 1, Point2::new(-0.4, 0.0), Stamp::ZERO));
-                moving.occluded.note(at(track.id, track.position, track.seen));
-            }
-        }
-        assert!(hidden, "it has not become a track");
-        let left: Vec<u64> = moving.occluded.iter().map(|hidden| hidden.of).collect();
-        assert_eq!(left, [FELT | 1]);
-    }
-
-    #[test]
-    fn somebody_felt_for_a_while_is_not_forgotten_for_somebody_who_was_in_sight_meanwhile() {
-        let robot = zenav_fixtures::robot("tiago");
-        let lidar = robot.first_lidar().unwrap();
-        let mut moving = none_yet(&robot, 6.0);
-        let mut projector = ScanProjector::new(lidar);
-        for step in 0..30 {
-            let secs = 0.1 * f64::from(step);
-            // The contact lasts while the robot creeps away from it.
-            if step < 15 {
-                moving.note_occlusion(Point2::new(-0.4 - 0.02 * f64::from(step), 0.0), Stamp::from_secs(secs));
-            }
-            let post = (step >= 5).then(|| 2.6 - 0.03 * f64::from(step));
-            let sweep = sweep(lidar, secs, Pose2::IDENTITY, post);
-            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
-        }
-        assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
-        assert!(moving.occluded(Stamp::from_secs(2.9)).next().is_some());
-    }
-
-    #[test]
-    fn a_track_of_a_lidar_that_sweeps_is_where_its_beams_met_it() {
-        let robot = zenav_fixtures::robot("neato");
-        let lidar = LidarModel {
-            sweep_time: 0.199,
-            ..robot.lidar.clone().unwrap()
-        };
-        let place = |secs: f64| Point2::new(2.0, -1.5 + secs);
-        let range = |at: Stamp, beam: usize| {
-            // Distance to a disc, seen from the lidar, and to a wall all around.
-            let center = place(at.as_secs() - lidar.before_end(beam as f64)) - lidar.mount.position();
-            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
-            let (sin, cos) = angle.sin_cos();
-            let (along, aside) = (center.x * cos + center.y * sin, center.y * cos - center.x * sin);
-            let half = 0.0625 - aside * aside;
-            (if along > 0.0 && half > 0.0 {
-                along - half.sqrt()
-            } else {
-                4.0
-            }) as f32
-        };
-        let mut robot = robot;
-        robot.lidar = Some(lidar.clone());
-        let mut moving = none_yet(&robot, 1.5);
-        let mut projector = ScanProjector::new(&lidar);
-        for step in 1..=15 {
-            let stamp = Stamp::from_secs(0.2 * f64::from(step));
-            let ranges = (0..lidar.beams).map(|beam| range(stamp, beam)).collect();
-            let sweep = Sweep::new(stamp, ranges);
-            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
-        }
-        let tracks: Vec<&Track> = moving.tracks().iter().collect();
-        assert_eq!(tracks.len(), 1);
-        // Straight ahead is in the middle of the sweep: a tenth of a second, and of a metre.
-        let off = tracks[0].at(Stamp::from_secs(3.0).secs_since(tracks[0].stamp)) - place(3.0);
-        assert!(off.norm() < 0.06, "{off:?}");
-    }
-}
+mod tests;
