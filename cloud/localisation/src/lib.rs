@@ -34,6 +34,7 @@ mod global;
 mod known_map;
 mod localiser;
 mod settings;
+mod track_record;
 mod view;
 
 pub use evidence::{Evidence, evidence};

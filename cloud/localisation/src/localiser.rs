@@ -14,6 +14,7 @@ use crate::faces::Faces;
 use crate::global::{Found, Hypothesis, find, find_in_view, is_one_place};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
+use crate::track_record::TrackRecord;
 use crate::view::{View, is_apart};
 
 /// Most points used by a search around the expected pose.
@@ -87,6 +88,7 @@ pub struct Localiser {
     /// A place that another search has to confirm; all searches since have found it, too.
     hoped: Option<Hope>,
     faces: Faces,
+    record: TrackRecord,
 }
 
 /// The last scan.
@@ -156,6 +158,7 @@ impl Localiser {
             view: View::default(),
             hoped: None,
             faces: Faces::default(),
+            record: TrackRecord::default(),
         }
     }
 
@@ -214,6 +217,7 @@ impl Localiser {
         let is_near = is_near && !self.is_doubtful(laser, &seen, start);
         let (mut covariance, mut is_found_anew) = (None, false);
         if !is_near {
+            self.record.see(odometry, &seen);
             let (held, held_pose) = last.held;
             let since = held.inverse() * odometry;
             let expected = Expected {
@@ -238,6 +242,7 @@ impl Localiser {
             }
             let contradicts = self.evidence.points >= self.settings.evidence.least_points as usize
                 && self.evidence.agreeing < self.settings.tracking.doubtful;
+            self.record.note(self.agrees(), contradicts);
             if is_jump {
                 self.odometry.begin_anew(&scan_information);
             } else if is_wide || !is_within(held, APART) && !contradicts {
@@ -277,6 +282,7 @@ impl Localiser {
 
     /// Starts at a given pose, with the odometry there.
     fn begin(&mut self, stamp: Stamp, odom_from_base: Pose2, pose: Pose2) -> Last {
+        self.record.clear();
         self.odometry
             .begin_anew(&Matrix3::from_diagonal(&GUESSED.map(f64::recip).into()));
         Last {
@@ -349,10 +355,14 @@ impl Localiser {
                 && place.pose.distance(&refined.pose) >= settings.global.apart
                 && prior.chi_squared(place.pose) <= JUMP
         };
+        let is_jump = prior.chi_squared(refined.pose) > JUMP || places.iter().any(is_rival);
+        if is_jump && self.record.vouches() {
+            return near;
+        }
         Match {
             refined,
             is_wide: true,
-            is_jump: prior.chi_squared(refined.pose) > JUMP || places.iter().any(is_rival),
+            is_jump,
         }
     }
 
@@ -362,8 +372,7 @@ impl Localiser {
     fn is_elsewhere(&mut self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>], is_jump: bool) -> bool {
         let (here, settings) = (self.evidence, &self.settings);
         let says_much = here.points >= settings.evidence.least_points as usize;
-        let agrees = here.agreeing >= settings.global.agrees && here.through_walls <= settings.tracking.through_walls;
-        if !is_jump && (agrees || !says_much) {
+        if !is_jump && (self.agrees() || !says_much || self.record.vouches()) {
             self.doubt = DOUBT.0;
             return false;
         }
@@ -385,12 +394,22 @@ impl Localiser {
         }
     }
 
+    /// Whether the last matched scan agrees with the map.
+    fn agrees(&self) -> bool {
+        let Evidence {
+            agreeing,
+            through_walls,
+            ..
+        } = self.evidence;
+        agreeing >= self.settings.global.agrees && through_walls <= self.settings.tracking.through_walls
+    }
+
     /// Derives the robot's health from a match.
     fn note(&mut self, laser: Point2<f64>, seen: &[Point2<f64>], refined: &Refined) {
         let settings = &self.settings;
         self.evidence = evidence(&self.map, laser, seen, refined.pose, &settings.evidence);
         let says_much = self.evidence.points >= settings.evidence.least_points as usize;
-        if says_much && self.evidence.agreeing < settings.evidence.lost_below {
+        if says_much && self.evidence.agreeing < settings.evidence.lost_below && !self.record.vouches() {
             self.contradictions += 1;
         } else {
             self.contradictions = 0;
@@ -439,6 +458,7 @@ impl Localiser {
                 self.health = Health::Tracking;
                 self.contradictions = 0;
                 self.view.clear();
+                self.record.clear();
                 self.evidence = place.evidence;
                 let own = turned(&place.covariance, -place.pose.yaw);
                 self.odometry

@@ -179,9 +179,14 @@ pub(super) struct Ekf {
     gyro: Option<(Stamp, f64)>,
     still: f64,
     stood_at: [f64; 2],
-    rejected: [u32; 3],
+    /// Measurements of compass and GPS in a row that their gate rejected.
+    rejected: [u32; 2],
+    /// Corrections in a row that contradict the estimate and agree with each other: by how much the last one was off, and their number.
+    contradicting: Option<(Vector3<f64>, u32)>,
     /// Distance rolled since the last correction, forwards or backwards, m.
     uncorrected: f64,
+    /// Whether a correction was fused or adopted.
+    is_corrected: bool,
 }
 
 impl Ekf {
@@ -205,8 +210,10 @@ impl Ekf {
             gyro: None,
             still: 0.0,
             stood_at: [0.0; 2],
-            rejected: [0; 3],
+            rejected: [0; 2],
+            contradicting: None,
             uncorrected: 0.0,
+            is_corrected: false,
         }
     }
 
@@ -222,6 +229,7 @@ impl Ekf {
         (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
         let mut turn = Covariance::identity();
         turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&turning(new_from_old.yaw));
+        self.contradicting = None;
         self.covariance = turn * self.covariance * turn.transpose();
     }
 
@@ -238,6 +246,11 @@ impl Ekf {
     /// Stamp of the gyro's last reading.
     pub(super) fn gyro_at(&self) -> Option<Stamp> {
         self.gyro.map(|(stamp, _)| stamp)
+    }
+
+    /// Whether the pose refers to a map that corrections told.
+    pub(super) fn is_corrected(&self) -> bool {
+        self.is_corrected
     }
 
     /// Pose in the map.
@@ -307,15 +320,20 @@ impl Ekf {
                     pose.y - self.state[1],
                     wrap_angle(pose.yaw - self.state[2]),
                 );
-                Some(self.gated(settings, 2, innovation, SMatrix::<f64, 3, STATES>::identity(), *noise))
+                let (fused, distance) = self.update(innovation, SMatrix::<f64, 3, STATES>::identity(), *noise);
+                if fused {
+                    (self.contradicting, self.is_corrected) = (None, true);
+                } else if self.is_contradicted(settings, innovation, noise) {
+                    self.adopt(*pose, noise);
+                }
+                Some(Compared {
+                    sensor: 2,
+                    distance,
+                    fused,
+                })
             }
             Input::Found(pose, noise) => {
-                (self.state[0], self.state[1], self.state[2]) = (pose.x, pose.y, pose.yaw);
-                // The new pose is independent of everything that led to the old one.
-                self.covariance.fixed_rows_mut::<3>(0).fill(0.0);
-                self.covariance.fixed_columns_mut::<3>(0).fill(0.0);
-                self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(noise);
-                (self.rejected, self.uncorrected) = ([0; 3], 0.0);
+                self.adopt(*pose, noise);
                 None
             }
         }
@@ -335,7 +353,7 @@ impl Ekf {
         (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
         self.widen(settings, &rolled, &step, secs);
         if motion.gyro.is_some() && rolled.is_known {
-            self.compare_turns(model, &rolled, &step, secs);
+            self.compare_turns((model, settings), &rolled, &step, secs);
         }
     }
 
@@ -448,12 +466,13 @@ impl Ekf {
 
     /// The prediction took the turn from the gyro; the wheels' turn over the same time is a measurement of it, and of the gyro's bias
     /// against the wheels' errors. Both noises are in the prediction too: the gain accounts for this correlation.
-    fn compare_turns(&mut self, model: &RobotModel, rolled: &Rolled, step: &Step, secs: f64) {
+    fn compare_turns(&mut self, (model, settings): Known<'_>, rolled: &Rolled, step: &Step, secs: f64) {
         let [left, right] = rolled.sides;
         let apart = self.apart(model);
         let innovation = step.turn - self.turn_by_wheels(rolled, apart);
-        // Encoder steps do not add up, but a single one must not look like slip.
-        let steps = if left == 0.0 && right == 0.0 {
+        // Encoder steps do not add up, but a single one must not look like slip. Between two steps of a robot that creeps its wheels seem to
+        // stand, and are not known any better: only a longer rest is one.
+        let steps = if self.still > settings.still_after {
             0.0
         } else {
             (model.encoders.resolution * model.drive.wheel_radius).powi(2) / 6.0
@@ -520,6 +539,33 @@ impl Ekf {
             jacobian[BIAS] = 1.0;
             self.update(SVector::<f64, 1>::new(rate - self.state[BIAS]), jacobian, noise);
         }
+    }
+
+    /// Takes over a pose that is independent of everything that led to the old one.
+    fn adopt(&mut self, pose: Pose2, noise: &Matrix3<f64>) {
+        (self.state[0], self.state[1], self.state[2]) = (pose.x, pose.y, pose.yaw);
+        self.covariance.fixed_rows_mut::<3>(0).fill(0.0);
+        self.covariance.fixed_columns_mut::<3>(0).fill(0.0);
+        self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(noise);
+        (self.rejected, self.contradicting, self.uncorrected) = ([0; 2], None, 0.0);
+        self.is_corrected = true;
+    }
+
+    /// Notes that the gate rejected a correction. Whether so many in a row say the same that the estimate is wrong, not they.
+    fn is_contradicted(
+        &mut self,
+        settings: &EstimatorSettings,
+        innovation: Vector3<f64>,
+        noise: &Matrix3<f64>,
+    ) -> bool {
+        let before = self.contradicting.filter(|(last, _)| {
+            let change = innovation - last;
+            let inverse = (2.0 * noise).try_inverse();
+            inverse.is_some_and(|inverse| change.dot(&(inverse * change)) <= GATE[2])
+        });
+        let count = before.map_or(1, |(_, count)| count + 1);
+        self.contradicting = Some((innovation, count));
+        count >= settings.contradicted_by
     }
 
     /// Updates unless the gate rejects the measurement; after many rejections in a row the estimate itself is doubted.

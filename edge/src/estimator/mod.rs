@@ -175,10 +175,15 @@ impl Estimator {
         (age < GYRO_SILENT).then(|| ekf.gyro_bias_std())
     }
 
-    /// Row-major covariance of (x, y, yaw): m², m rad, rad².
+    /// Row-major covariance of (x, y, yaw): m², m rad, rad². Once corrections were fused, the error of the map at the robot's place is in it,
+    /// too: fusing more of them there does not reduce it.
     #[must_use]
     pub fn covariance(&self) -> [f64; 9] {
-        let covariance = self.ekf().covariance();
+        let mut covariance = self.ekf().covariance();
+        if self.ekf().is_corrected() {
+            let shared = self.settings.map_std.powi(2);
+            covariance += Matrix3::from_diagonal(&[shared, shared, 0.0].into());
+        }
         std::array::from_fn(|i| covariance[(i / 3, i % 3)])
     }
 

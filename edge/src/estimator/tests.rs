@@ -480,3 +480,74 @@ fn noise_of_wheels_and_gyro_does_not_look_like_wrong_wheels() {
     let error = estimator.map_from_base().x - 145.0;
     assert!(error.abs() < 0.5, "{error} m along 145 m");
 }
+
+#[test]
+fn a_turn_too_slow_for_the_encoders_to_see_in_each_tick_teaches_the_gyro_no_bias() {
+    let mut model = model();
+    (model.gps, model.imu.compass_noise) = (None, None);
+    let mut estimator = Estimator::new(&model, Pose2::IDENTITY, &EstimatorSettings::default());
+    let (rate, step) = (0.005, model.encoders.resolution);
+    for tick in 0..1_000_usize {
+        // Ten seconds at rest, then ten of a turn in which a wheel takes five ticks for a step.
+        let turned = rate * 0.02 * tick.saturating_sub(500) as f64;
+        let angle = 0.5 * turned * model.drive.wheel_separation / model.drive.wheel_radius;
+        let mut readings = readings(tick, [-angle, angle].map(|angle| (angle / step).floor() * step));
+        readings.imu = Some(Imu {
+            stamp: stamp(tick),
+            yaw_rate: if tick > 500 { rate } else { 0.0 },
+            yaw: None,
+        });
+        estimator.step(&readings, []);
+    }
+    let (yaw, bias) = (estimator.map_from_base().yaw, estimator.ekf().gyro_bias());
+    assert!(
+        (yaw - 0.05).abs() < 0.005 && bias.abs() < 5e-4,
+        "{yaw} rad, {bias} rad/s"
+    );
+}
+
+/// A correction of a robot at rest.
+fn correction(tick: usize, map_from_base: Pose2) -> Correction {
+    Correction {
+        stamp: stamp(tick),
+        map_from_base,
+        covariance: [1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-5],
+        ..Correction::default()
+    }
+}
+
+#[test]
+fn corrections_that_agree_with_each_other_replace_an_estimate_and_others_do_not() {
+    let place = Pose2::new(0.2, 0.0, 0.05);
+    let after = |corrections: &[Pose2]| {
+        let mut estimator = estimator(Pose2::IDENTITY, 0.01);
+        for (nth, pose) in corrections.iter().enumerate() {
+            let tick = 10 * (nth + 1);
+            estimator.step(&readings(tick, [0.0; 2]), [&correction(tick, *pose)]);
+        }
+        (estimator.map_from_base(), estimator.tally().outliers)
+    };
+    let near = |x: f64| Pose2::new(place.x + x, place.y, place.yaw);
+    assert!(after(&[near(0.0), near(0.01)]).0.distance(&Pose2::IDENTITY) < 0.05);
+    let (adopted, outliers) = after(&[near(0.0), near(0.01), near(-0.01)]);
+    assert!(
+        adopted.distance(&place) < 0.02 && outliers == 3,
+        "{adopted:?}, {outliers}"
+    );
+    let scattered = [near(0.0), near(0.3), near(-0.6), near(0.1), near(0.7)];
+    assert!(after(&scattered).0.distance(&Pose2::IDENTITY) < 0.05);
+    // One that fits breaks the row.
+    let broken = [near(0.0), near(0.01), Pose2::IDENTITY, near(0.0), near(0.01)];
+    assert!(after(&broken).0.distance(&Pose2::IDENTITY) < 0.05);
+}
+
+#[test]
+fn corrections_of_one_place_share_the_error_of_the_map_there() {
+    let mut estimator = estimator(Pose2::IDENTITY, 0.01);
+    for tick in 0..500 {
+        estimator.step(&readings(tick, [0.0; 2]), [&correction(tick, Pose2::IDENTITY)]);
+    }
+    let shared = EstimatorSettings::default().map_std.powi(2);
+    let covariance = estimator.covariance();
+    assert!((shared..2.0 * shared).contains(&covariance[0]), "{covariance:?}");
+}

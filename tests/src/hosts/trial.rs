@@ -33,6 +33,8 @@ const LONG: Duration = Duration::from_secs(90);
 const ANSWERED: Duration = Duration::from_secs(2);
 /// Unfinished goals of a robot at a time.
 const OUTSTANDING: usize = 3;
+/// Least number of goals of a robot in a minute: one takes some 20 s without faults.
+const LEAST_GOALS: f64 = 1.0;
 /// A robot that has rested for less than this is driving, s.
 const DRIVES: f64 = 0.5;
 
@@ -281,9 +283,10 @@ impl Findings {
         for (phase, count) in self.ends.iter().filter(|(phase, _)| phase.as_str() != "Succeeded") {
             self.failures.push(format!("{count} goals ended {phase}"));
         }
-        if self.goals < self.rows.len() {
+        let minutes = self.rows.iter().map(|row| row.took).sum::<f64>() / 60.0;
+        if (self.goals as f64) < LEAST_GOALS * LANES.len() as f64 * minutes {
             self.failures
-                .push(format!("only {} goals in {} faults", self.goals, self.rows.len()));
+                .push(format!("only {} goals in {minutes:.0} min", self.goals));
         }
         self.failures.extend(
             truth
