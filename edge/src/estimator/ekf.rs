@@ -187,6 +187,8 @@ pub(super) struct Ekf {
     uncorrected: f64,
     /// Whether a correction was fused or adopted.
     is_corrected: bool,
+    /// Stamp at which a correction last replaced the estimate.
+    replaced_at: Option<Stamp>,
 }
 
 impl Ekf {
@@ -214,6 +216,7 @@ impl Ekf {
             contradicting: None,
             uncorrected: 0.0,
             is_corrected: false,
+            replaced_at: None,
         }
     }
 
@@ -251,6 +254,11 @@ impl Ekf {
     /// Whether the pose refers to a map that corrections told.
     pub(super) fn is_corrected(&self) -> bool {
         self.is_corrected
+    }
+
+    /// Stamp at which a correction last replaced the estimate.
+    pub(super) fn replaced_at(&self) -> Option<Stamp> {
+        self.replaced_at
     }
 
     /// Pose in the map.
@@ -548,7 +556,7 @@ impl Ekf {
         self.covariance.fixed_columns_mut::<3>(0).fill(0.0);
         self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(noise);
         (self.rejected, self.contradicting, self.uncorrected) = ([0; 2], None, 0.0);
-        self.is_corrected = true;
+        (self.is_corrected, self.replaced_at) = (true, Some(self.time));
     }
 
     /// Notes that the gate rejected a correction. Whether so many in a row say the same that the estimate is wrong, not they.

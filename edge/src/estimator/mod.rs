@@ -65,6 +65,7 @@ pub struct Estimator {
     late_in_a_row: u32,
     tally: Tally,
     nis: [Option<f64>; 3],
+    was_replaced: bool,
 }
 
 impl Estimator {
@@ -83,6 +84,7 @@ impl Estimator {
             late_in_a_row: 0,
             tally: Tally::default(),
             nis: [None; 3],
+            was_replaced: false,
         }
     }
 
@@ -105,6 +107,7 @@ impl Estimator {
     /// ```
     pub fn step<'a>(&mut self, readings: &Readings, corrections: impl IntoIterator<Item = &'a Correction>) {
         self.nis = [None; 3];
+        let replaced_at = self.ekf().replaced_at();
         self.wheels(readings);
         if let Some(imu) = &readings.imu {
             self.imu(imu);
@@ -116,6 +119,7 @@ impl Estimator {
             self.correction(correction);
         }
         self.settle();
+        self.was_replaced = self.ekf().replaced_at() != replaced_at;
     }
 
     /// Carries the estimate over to another map frame: odometry, and the estimate relative to the walls, stay as they are.
@@ -130,6 +134,12 @@ impl Estimator {
     #[must_use]
     pub fn map_from_base(&self) -> Pose2 {
         self.ekf().map_from_base()
+    }
+
+    /// Whether this tick's corrections replaced the pose in the map: the robot is somewhere else than it believed.
+    #[must_use]
+    pub fn was_replaced(&self) -> bool {
+        self.was_replaced
     }
 
     /// The normalised innovation squared of this tick's measurements: compass (1 degree of freedom), GPS (2), correction (3).

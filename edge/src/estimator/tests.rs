@@ -525,17 +525,15 @@ fn corrections_that_agree_with_each_other_replace_an_estimate_and_others_do_not(
             let tick = 10 * (nth + 1);
             estimator.step(&readings(tick, [0.0; 2]), [&correction(tick, *pose)]);
         }
-        (estimator.map_from_base(), estimator.tally().outliers)
+        (estimator.map_from_base(), estimator.was_replaced())
     };
     let near = |x: f64| Pose2::new(place.x + x, place.y, place.yaw);
     assert!(after(&[near(0.0), near(0.01)]).0.distance(&Pose2::IDENTITY) < 0.05);
-    let (adopted, outliers) = after(&[near(0.0), near(0.01), near(-0.01)]);
-    assert!(
-        adopted.distance(&place) < 0.02 && outliers == 3,
-        "{adopted:?}, {outliers}"
-    );
+    let (adopted, was_replaced) = after(&[near(0.0), near(0.01), near(-0.01)]);
+    assert!(adopted.distance(&place) < 0.02 && was_replaced, "{adopted:?}");
     let scattered = [near(0.0), near(0.3), near(-0.6), near(0.1), near(0.7)];
-    assert!(after(&scattered).0.distance(&Pose2::IDENTITY) < 0.05);
+    let (kept, was_replaced) = after(&scattered);
+    assert!(kept.distance(&Pose2::IDENTITY) < 0.05 && !was_replaced, "{kept:?}");
     // One that fits breaks the row.
     let broken = [near(0.0), near(0.01), Pose2::IDENTITY, near(0.0), near(0.01)];
     assert!(after(&broken).0.distance(&Pose2::IDENTITY) < 0.05);

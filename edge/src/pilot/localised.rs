@@ -16,7 +16,7 @@ impl Pilot {
     pub(super) fn receive_health(&mut self, now: Stamp, said: Vec<Localisation>, corrections: &[Correction]) {
         let boot_id = self.events.boot_id();
         let newest = said.into_iter().rfind(|said| said.boot_id == boot_id);
-        let is_found_anew = corrections.iter().any(|correction| correction.is_found_anew);
+        let is_elsewhere = self.is_elsewhere(corrections);
         if let Some(Localisation { health, .. }) = newest {
             let both_trusted = health.is_trusted() && self.health.is_trusted();
             if discriminant(&health) != discriminant(&self.health) && !both_trusted {
@@ -27,11 +27,17 @@ impl Pilot {
         }
         if !self.health.is_trusted() {
             self.discard_plan(now, "it is not known where the robot is");
-        } else if is_found_anew {
+        } else if is_elsewhere {
             self.discard_plan(now, "the robot was found somewhere else");
         }
-        if is_found_anew {
+        if is_elsewhere {
             self.return_home.forget();
         }
+    }
+
+    /// Whether a tick's corrections say that the robot is somewhere else than it believed: one that found it anew, even too late to be used,
+    /// or several that contradict its estimate.
+    pub(super) fn is_elsewhere(&self, corrections: &[Correction]) -> bool {
+        self.estimator.was_replaced() || corrections.iter().any(|correction| correction.is_found_anew)
     }
 }

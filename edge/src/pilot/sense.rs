@@ -24,7 +24,7 @@ impl Pilot {
         out: &mut Vec<Publication>,
     ) {
         self.estimator.step(readings, corrections);
-        if corrections.iter().any(|correction| correction.is_found_anew) {
+        if self.is_elsewhere(corrections) {
             self.obstacles.forget_touched();
         }
         self.fixes.take_in(readings, &self.config.model, &self.estimator);

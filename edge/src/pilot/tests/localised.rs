@@ -115,6 +115,30 @@ fn a_robot_that_is_found_somewhere_else_believes_it_at_once_and_drops_its_plan()
 }
 
 #[test]
+fn a_robot_whose_estimate_is_contradicted_three_times_in_a_row_drops_its_plan() {
+    let (mut rig, ..) = driving();
+    let ahead = |rig: &Rig| {
+        let aside = rig.pilot.map_from_base() * Pose2::new(0.0, 3.0, 0.0);
+        Correction {
+            is_found_anew: false,
+            ..found_anew(rig, aside)
+        }
+    };
+    let discarded = |rig: &Rig| {
+        let is_discarded = |event: &EventKind| matches!(event, EventKind::PlanDiscarded { reason, .. } if reason.contains("somewhere else"));
+        rig.events.iter().any(is_discarded)
+    };
+    for nth in 1..=3 {
+        let correction = ahead(&rig);
+        rig.inbox.corrections.push(correction);
+        rig.run(0.2);
+        assert_eq!(discarded(&rig), nth == 3, "after {nth}");
+    }
+    rig.run(1.5);
+    assert!(rig.at_rest());
+}
+
+#[test]
 fn the_way_home_is_none_that_was_taken_for_it_somewhere_else() {
     let elsewhere = Pose2::new(-3.0, 2.0, 1.5);
     for is_found in [false, true] {
