@@ -457,9 +457,9 @@ zenav_protocol::settings! {
         pub start_yaw_std: f64 = 0.05, "rad", 0.0001..=3.2;
         /// Wheels that have not turned for this long are at rest: the gyro then measures its own bias.
         pub still_after: f64 = 0.5, "s", 0.05..=10.0;
-        /// After this many rejected measurements of GPS or compass in a row the filter doubts its estimate instead of the sensor.
+        /// After this many rejected measurements in a row the filter doubts its estimate instead of the sensor.
         pub doubt_after: u32 = 25, "", 1..=10000;
-        /// This many corrections in a row that contradict the estimate and agree with each other replace it.
+        /// After this many corrections in a row that contradict the estimate and agree with each other the filter doubts its estimate.
         pub contradicted_by: u32 = 3, "", 1..=10000;
         /// Random walk of a wheel beyond the encoder's own noise (slip, floor), for each metre rolled. Assumed: 1 mm after a metre.
         pub slip: f64 = 1e-6, "m²/m", 0.0..=0.01;

@@ -14,7 +14,7 @@ use crate::faces::Faces;
 use crate::global::{Found, Hypothesis, find, find_in_view, is_one_place};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
-use crate::track_record::TrackRecord;
+use crate::track_record::{Fit, TrackRecord};
 use crate::view::{View, is_apart};
 
 /// Most points used by a search around the expected pose.
@@ -217,7 +217,6 @@ impl Localiser {
         let is_near = is_near && !self.is_doubtful(laser, &seen, start);
         let (mut covariance, mut is_found_anew) = (None, false);
         if !is_near {
-            self.record.see(odometry, &seen);
             let (held, held_pose) = last.held;
             let since = held.inverse() * odometry;
             let expected = Expected {
@@ -236,13 +235,17 @@ impl Localiser {
             covariance = scan_information
                 .try_inverse()
                 .map(|covariance| turned(&covariance, refined.pose.yaw));
-            self.note(laser, &seen, &refined);
+            self.evidence = evidence(&self.map, laser, &seen, refined.pose, &self.settings.evidence);
+            self.record.take(odometry, &seen, self.fit(&refined));
+            self.note(&refined);
             if refined.degenerate.is_none() && self.evidence.agreeing >= self.settings.global.agrees {
                 self.faces.learn(self.map.field(), laser, &seen, refined.pose);
             }
-            let contradicts = self.evidence.points >= self.settings.evidence.least_points as usize
-                && self.evidence.agreeing < self.settings.tracking.doubtful;
-            self.record.note(self.agrees(), contradicts);
+            let contradicts = self.says_much() && self.evidence.agreeing < self.settings.tracking.doubtful;
+            if contradicts && self.record.vouches() {
+                // Odometry tells more than such a match.
+                covariance = None;
+            }
             if is_jump {
                 self.odometry.begin_anew(&scan_information);
             } else if is_wide || !is_within(held, APART) && !contradicts {
@@ -355,14 +358,15 @@ impl Localiser {
                 && place.pose.distance(&refined.pose) >= settings.global.apart
                 && prior.chi_squared(place.pose) <= JUMP
         };
-        let is_jump = prior.chi_squared(refined.pose) > JUMP || places.iter().any(is_rival);
-        if is_jump && self.record.vouches() {
+        let (is_leap, has_rival) = (prior.chi_squared(refined.pose) > JUMP, places.iter().any(is_rival));
+        // Where the building has changed, the scan may fit another place a little better. A robot that was pushed fits its new place well.
+        if is_leap && !has_rival && agreeing < SURE && self.record.vouches() {
             return near;
         }
         Match {
             refined,
             is_wide: true,
-            is_jump,
+            is_jump: is_leap || has_rival,
         }
     }
 
@@ -371,9 +375,11 @@ impl Localiser {
     /// the building has changed.
     fn is_elsewhere(&mut self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>], is_jump: bool) -> bool {
         let (here, settings) = (self.evidence, &self.settings);
-        let says_much = here.points >= settings.evidence.least_points as usize;
-        if !is_jump && (self.agrees() || !says_much || self.record.vouches()) {
+        if !is_jump && (self.agrees() || !self.says_much()) {
             self.doubt = DOUBT.0;
+            return false;
+        }
+        if !is_jump && self.record.vouches() {
             return false;
         }
         let is_due = |then: Stamp| now.stamp.secs_since(then) >= self.doubt;
@@ -394,6 +400,22 @@ impl Localiser {
         }
     }
 
+    /// Whether enough of the last matched scan is in known surroundings.
+    fn says_much(&self) -> bool {
+        self.evidence.points >= self.settings.evidence.least_points as usize
+    }
+
+    /// How the last matched scan fits the map.
+    fn fit(&self, refined: &Refined) -> Fit {
+        if self.says_much() && self.evidence.agreeing < self.settings.global.agrees {
+            Fit::Contradicts
+        } else if self.says_much() && refined.degenerate.is_none() {
+            Fit::Agrees
+        } else {
+            Fit::SaysLittle
+        }
+    }
+
     /// Whether the last matched scan agrees with the map.
     fn agrees(&self) -> bool {
         let Evidence {
@@ -405,11 +427,10 @@ impl Localiser {
     }
 
     /// Derives the robot's health from a match.
-    fn note(&mut self, laser: Point2<f64>, seen: &[Point2<f64>], refined: &Refined) {
+    fn note(&mut self, refined: &Refined) {
         let settings = &self.settings;
-        self.evidence = evidence(&self.map, laser, seen, refined.pose, &settings.evidence);
-        let says_much = self.evidence.points >= settings.evidence.least_points as usize;
-        if says_much && self.evidence.agreeing < settings.evidence.lost_below && !self.record.vouches() {
+        let contradicts = self.says_much() && self.evidence.agreeing < settings.evidence.lost_below;
+        if contradicts && !self.record.vouches() {
             self.contradictions += 1;
         } else {
             self.contradictions = 0;

@@ -1,6 +1,6 @@
-//! Track record. Since where the robot was followed without a break, and how well. A scan that contradicts the map means that the robot was
-//! carried away, or that the building has changed: a robot that is carried away sees other things from one scan to the next, and one that
-//! drives past moved furniture does not.
+//! Track record. How far the robot was followed in agreement with the map and without a break. A scan that contradicts the map means that
+//! the robot was carried away, or that the building has changed. Where the building has changed, scans continue one another: each sees mostly
+//! what the one before saw, from where odometry has led.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -11,18 +11,34 @@ const CELL: f64 = 0.1;
 const SIDE: usize = 256;
 /// Fewer points tell nothing about a break.
 const LEAST_POINTS: usize = 20;
-/// If a smaller share of a scan was seen by the one before, the robot was carried meanwhile, or odometry began anew.
+/// If a smaller share of such a scan was seen by the one before, the robot was carried meanwhile, or odometry began anew.
 const SEEN_BEFORE: f64 = 0.5;
-/// A robot that was followed well is followed through surroundings that contradict the map for as far again, and no farther than this, m.
+/// A scan that does not agree with the map is compared with the last one that did or, once odometry has moved this far, m and rad, with a later
+/// one. So a robot at rest that is carried slowly is compared with where it was.
+const APART: (f64, f64) = (0.1, 0.1);
+/// A robot is followed through surroundings that contradict the map for as far as it was followed in agreement before, at most this, m.
 const MOST: f64 = 3.0;
+/// Longest distance between two scans that counts, m: what was passed between them is not known.
+const LONGEST_STEP: f64 = 0.5;
+
+/// How a scan fits the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Fit {
+    /// It agrees, and determines the pose.
+    Agrees,
+    /// It says too little.
+    SaysLittle,
+    /// It does not agree.
+    Contradicts,
+}
 
 /// How far a robot was followed in agreement with the map.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TrackRecord {
-    /// Odometry at the last scan, and the cells that it saw, in the frame of odometry.
-    last: Option<(Pose2, Cells)>,
-    /// Distance to that scan from the one before it, m.
-    way: f64,
+    /// Odometry at the scan that later ones are compared with, and the cells that it saw, in the frame of odometry.
+    anchor: Option<(Pose2, Cells)>,
+    /// Odometry at the last scan.
+    last: Option<Pose2>,
     /// Distance in agreement with the map less distance in contradiction to it, m.
     credit: f64,
 }
@@ -33,8 +49,10 @@ impl TrackRecord {
         *self = Self::default();
     }
 
-    /// Takes in a scan, its points in the frame of the base (m), and the odometry at it.
-    pub(crate) fn see(&mut self, odom_from_base: Pose2, points: &[Point2<f64>]) {
+    /// Takes in a scan, its points in the frame of the base (m), the odometry at it, and how it fits the map.
+    pub(crate) fn take(&mut self, odom_from_base: Pose2, points: &[Point2<f64>], fit: Fit) {
+        let step = self.last.map_or(0.0, |last| last.distance(&odom_from_base));
+        self.last = Some(odom_from_base);
         if points.len() < LEAST_POINTS {
             return;
         }
@@ -42,24 +60,27 @@ impl TrackRecord {
             .iter()
             .map(|point| odom_from_base.transform_point(*point))
             .collect();
-        let mut cells = Cells::default();
-        seen.iter().for_each(|point| cells.add_around(*point));
-        if let Some((then, before)) = self.last.replace((odom_from_base, cells)) {
+        let way = step.min(LONGEST_STEP);
+        match fit {
+            Fit::Agrees => self.credit = (self.credit + way).min(MOST),
+            Fit::SaysLittle => {}
+            Fit::Contradicts => self.credit = (self.credit - way).max(0.0),
+        }
+        let mut is_anchor = true;
+        if fit != Fit::Agrees
+            && let Some((then, before)) = &self.anchor
+        {
             let known = seen.iter().filter(|point| before.contains(**point)).count();
             if (known as f64) < SEEN_BEFORE * seen.len() as f64 {
                 self.credit = 0.0;
             }
-            self.way += then.distance(&odom_from_base);
+            let since = then.inverse() * odom_from_base;
+            is_anchor = since.x.hypot(since.y) >= APART.0 || since.yaw.abs() >= APART.1;
         }
-    }
-
-    /// Notes whether the scan seen last agrees with the map, contradicts it, or neither.
-    pub(crate) fn note(&mut self, agrees: bool, contradicts: bool) {
-        let way = std::mem::take(&mut self.way);
-        if contradicts {
-            self.credit = (self.credit - way).max(0.0);
-        } else if agrees {
-            self.credit = (self.credit + way).min(MOST);
+        if is_anchor {
+            let mut cells = Cells::default();
+            seen.iter().for_each(|point| cells.add_around(*point));
+            self.anchor = Some((odom_from_base, cells));
         }
     }
 
@@ -116,39 +137,51 @@ mod tests {
     }
 
     /// Drives on along y, 0.1 m a scan.
-    fn follow(record: &mut TrackRecord, from: u32, scans: u32, wall: f64, agrees: bool) {
+    fn follow(record: &mut TrackRecord, from: u32, scans: u32, fit: Fit) {
         for nth in from..from + scans {
             let pose = Pose2::new(0.0, 0.1 * f64::from(nth), 0.4);
-            record.see(pose, &seen(wall, pose));
-            record.note(agrees, !agrees);
+            record.take(pose, &seen(2.0, pose), fit);
         }
     }
 
     #[test]
     fn a_robot_is_followed_through_changed_surroundings_for_as_far_as_it_was_followed_well() {
         let mut record = TrackRecord::default();
-        follow(&mut record, 0, 11, 2.0, true);
+        follow(&mut record, 0, 11, Fit::Agrees);
+        follow(&mut record, 11, 5, Fit::SaysLittle);
         assert!(record.vouches());
-        follow(&mut record, 11, 9, 2.0, false);
+        follow(&mut record, 16, 9, Fit::Contradicts);
         assert!(record.vouches());
-        follow(&mut record, 20, 2, 2.0, false);
+        follow(&mut record, 25, 2, Fit::Contradicts);
         assert!(!record.vouches());
     }
 
     #[test]
-    fn a_robot_that_is_carried_away_is_no_longer_vouched_for() {
-        let mut record = TrackRecord::default();
-        follow(&mut record, 0, 11, 2.0, true);
-        // The wall is elsewhere from one scan to the next, and odometry says nothing of it.
-        follow(&mut record, 11, 1, 3.0, false);
-        assert!(!record.vouches());
+    fn a_robot_that_is_carried_away_at_once_or_slowly_is_no_longer_vouched_for() {
+        // By how much the wall comes nearer from one scan to the next; odometry stands.
+        for step in [1.0, 0.04] {
+            let mut record = TrackRecord::default();
+            follow(&mut record, 0, 11, Fit::Agrees);
+            let pose = Pose2::new(0.0, 1.0, 0.4);
+            let carried = (1..=10).find(|nth| {
+                record.take(pose, &seen(2.0 - step * f64::from(*nth), pose), Fit::Contradicts);
+                !record.vouches()
+            });
+            assert!(
+                carried.is_some_and(|nth| step * f64::from(nth) <= 1.0),
+                "{step}: {carried:?}"
+            );
+        }
     }
 
     #[test]
-    fn odometry_that_is_out_of_all_bounds_is_survived() {
-        let mut record = TrackRecord::default();
-        record.see(Pose2::new(1e300, -1e18, 0.0), &seen(2.0, Pose2::IDENTITY));
-        record.note(true, false);
-        assert!(!record.vouches());
+    fn a_leap_of_odometry_earns_little() {
+        for far in [Pose2::new(1e300, -1e18, 0.0), Pose2::new(50.0, 0.0, 0.0)] {
+            let mut record = TrackRecord::default();
+            follow(&mut record, 0, 2, Fit::Contradicts);
+            record.take(far, &seen(2.0, Pose2::IDENTITY), Fit::Agrees);
+            follow(&mut record, 0, 7, Fit::Contradicts);
+            assert!(!record.vouches(), "{far:?}");
+        }
     }
 }

@@ -4,9 +4,9 @@
 
 use nalgebra::Point2;
 use zenav_fixtures::{map_where, spec, walled_room};
-use zenav_localisation::{Found, Hypothesis, KnownMap, LocalisationSettings, Localiser, evidence, find};
+use zenav_localisation::{Found, Hypothesis, KnownMap, LocalisationSettings, Localiser, Located, evidence, find};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::grid::Occupancy;
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::Health;
 use zenav_scan_matching::{ScanSettings, points};
 
@@ -451,6 +451,75 @@ fn a_robot_is_followed_through_furniture_that_is_gone() {
         );
     }
     assert!(through > 0.9, "{through}");
+}
+
+/// Drives a robot straight on by 5 cm a scan, in this world and with this map; returns where it is, and what it is told.
+fn straight_on(
+    world: &OccupancyGrid,
+    map: &OccupancyGrid,
+    localiser: &mut Localiser,
+    scans: u64,
+) -> Vec<(Pose2, Located)> {
+    assert_eq!(world.spec(), map.spec());
+    let start = Pose2::new(0.6, 2.5, 0.0);
+    let step = |number: u64| {
+        let driven = Pose2::new(0.05 * number as f64, 0.0, 0.0);
+        let scan = look(world, 100 + 100_000_000 * number, start * driven, driven, start);
+        (start * driven, localiser.step(&scan).unwrap())
+    };
+    (0..scans).map(step).collect()
+}
+
+#[test]
+fn a_robot_that_was_followed_well_is_followed_past_screens_that_hide_the_map() {
+    let (map, mut world) = (house(), house());
+    for index in 0..world.spec().len() {
+        let cell = world.spec().cell(index);
+        let at = world.spec().center(cell);
+        if (2.4..4.7).contains(&at.x) && ((2.1..2.2).contains(&at.y) || (2.8..2.9).contains(&at.y)) {
+            world[cell] = Occupancy::OCCUPIED;
+        }
+    }
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let told = straight_on(&world, &map, &mut localiser, 64);
+    let contradicting = told
+        .iter()
+        .filter(|(_, located)| located.evidence.agreeing < 0.4)
+        .count();
+    let agreeing: Vec<f64> = told.iter().map(|(_, located)| located.evidence.agreeing).collect();
+    assert!(contradicting > 5, "{agreeing:.2?}");
+    for (truth, located) in told {
+        assert!(
+            located.health.is_trusted() && !located.is_found_anew && located.pose.distance(&truth) < 0.1,
+            "{located:?} instead of {truth:?}"
+        );
+        // Such a match is no correction.
+        assert!(
+            located.evidence.agreeing >= 0.6 || located.covariance.is_none(),
+            "{located:?}"
+        );
+    }
+}
+
+#[test]
+fn a_robot_that_was_followed_well_and_is_carried_away_is_lost_all_the_same() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let told = straight_on(&map, &map, &mut localiser, 80);
+    assert!(told.iter().all(|(_, located)| located.health.is_trusted()));
+    let odometry = Pose2::new(0.05 * 79.0, 0.0, 0.0);
+    let elsewhere = Pose2::new(9.5, 6.0, 1.0);
+    let lost_after = (0..10).find(|number| {
+        let scan = look(
+            &map,
+            100 + 100_000_000 * (80 + number),
+            elsewhere,
+            odometry,
+            Pose2::IDENTITY,
+        );
+        !localiser.step(&scan).unwrap().health.is_trusted()
+    });
+    assert!(lost_after.is_some_and(|scans| scans < 5), "{lost_after:?}");
 }
 
 #[test]

@@ -27,6 +27,9 @@ const ROLLS_OUT: f64 = 1.0;
 /// Turns known better than this are not compared, rad².
 const LEAST_TURN_VARIANCE: f64 = 1e-16;
 
+/// A robot that corrections move by more than this, m or rad, is somewhere else than it believed.
+const ELSEWHERE: (f64, f64) = (0.3, 0.3);
+
 /// Indices in the state after x, y and yaw.
 const BIAS: usize = 3;
 const LEFT: usize = 4;
@@ -179,16 +182,24 @@ pub(super) struct Ekf {
     gyro: Option<(Stamp, f64)>,
     still: f64,
     stood_at: [f64; 2],
-    /// Measurements of compass and GPS in a row that their gate rejected.
-    rejected: [u32; 2],
-    /// Corrections in a row that contradict the estimate and agree with each other: by how much the last one was off, and their number.
-    contradicting: Option<(Vector3<f64>, u32)>,
+    rejected: [u32; 3],
+    contradicting: Option<Contradicting>,
     /// Distance rolled since the last correction, forwards or backwards, m.
     uncorrected: f64,
     /// Whether a correction was fused or adopted.
     is_corrected: bool,
-    /// Stamp at which a correction last replaced the estimate.
+    /// Stamp at which corrections last moved the estimate to another place.
     replaced_at: Option<Stamp>,
+}
+
+/// Corrections in a row that contradict the estimate and agree with each other.
+#[derive(Clone, Copy, Debug)]
+struct Contradicting {
+    /// The last one and its covariance, and what was estimated instead.
+    pose: Pose2,
+    noise: Matrix3<f64>,
+    estimate: Pose2,
+    count: u32,
 }
 
 impl Ekf {
@@ -212,7 +223,7 @@ impl Ekf {
             gyro: None,
             still: 0.0,
             stood_at: [0.0; 2],
-            rejected: [0; 2],
+            rejected: [0; 3],
             contradicting: None,
             uncorrected: 0.0,
             is_corrected: false,
@@ -232,7 +243,11 @@ impl Ekf {
         (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
         let mut turn = Covariance::identity();
         turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&turning(new_from_old.yaw));
-        self.contradicting = None;
+        if let Some(last) = &mut self.contradicting {
+            (last.pose, last.estimate) = (new_from_old * last.pose, new_from_old * last.estimate);
+            let turn = turning(new_from_old.yaw);
+            last.noise = turn * last.noise * turn.transpose();
+        }
         self.covariance = turn * self.covariance * turn.transpose();
     }
 
@@ -251,12 +266,12 @@ impl Ekf {
         self.gyro.map(|(stamp, _)| stamp)
     }
 
-    /// Whether the pose refers to a map that corrections told.
+    /// Whether the pose refers to a map, by corrections.
     pub(super) fn is_corrected(&self) -> bool {
         self.is_corrected
     }
 
-    /// Stamp at which a correction last replaced the estimate.
+    /// Stamp at which corrections last moved the estimate to another place.
     pub(super) fn replaced_at(&self) -> Option<Stamp> {
         self.replaced_at
     }
@@ -328,17 +343,18 @@ impl Ekf {
                     pose.y - self.state[1],
                     wrap_angle(pose.yaw - self.state[2]),
                 );
-                let (fused, distance) = self.update(innovation, SMatrix::<f64, 3, STATES>::identity(), *noise);
-                if fused {
-                    (self.contradicting, self.is_corrected) = (None, true);
-                } else if self.is_contradicted(settings, innovation, noise) {
-                    self.adopt(*pose, noise);
+                let jacobian = SMatrix::<f64, 3, STATES>::identity();
+                let mut compared = self.gated(settings, 2, innovation, jacobian, *noise);
+                if !compared.fused && self.is_contradicted(settings, *pose, noise) {
+                    let before = self.map_from_base();
+                    self.doubt();
+                    (compared.fused, _) = self.update(innovation, jacobian, *noise);
+                    self.note_move(before);
                 }
-                Some(Compared {
-                    sensor: 2,
-                    distance,
-                    fused,
-                })
+                if compared.fused {
+                    (self.contradicting, self.is_corrected) = (None, true);
+                }
+                Some(compared)
             }
             Input::Found(pose, noise) => {
                 self.adopt(*pose, noise);
@@ -478,9 +494,9 @@ impl Ekf {
         let [left, right] = rolled.sides;
         let apart = self.apart(model);
         let innovation = step.turn - self.turn_by_wheels(rolled, apart);
-        // Encoder steps do not add up, but a single one must not look like slip. Between two steps of a robot that creeps its wheels seem to
-        // stand, and are not known any better: only a longer rest is one.
-        let steps = if self.still > settings.still_after {
+        // Encoder steps do not add up, but a single one must not look like slip. Between two steps of a robot that creeps, its wheels seem to
+        // stand, and are known no better: only wheels that have stood for longer are at rest.
+        let steps = if self.still > settings.still_after && left == 0.0 && right == 0.0 {
             0.0
         } else {
             (model.encoders.resolution * model.drive.wheel_radius).powi(2) / 6.0
@@ -555,25 +571,45 @@ impl Ekf {
         self.covariance.fixed_rows_mut::<3>(0).fill(0.0);
         self.covariance.fixed_columns_mut::<3>(0).fill(0.0);
         self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(noise);
-        (self.rejected, self.contradicting, self.uncorrected) = ([0; 2], None, 0.0);
+        (self.rejected, self.contradicting, self.uncorrected) = ([0; 3], None, 0.0);
         (self.is_corrected, self.replaced_at) = (true, Some(self.time));
     }
 
-    /// Notes that the gate rejected a correction. Whether so many in a row say the same that the estimate is wrong, not they.
-    fn is_contradicted(
-        &mut self,
-        settings: &EstimatorSettings,
-        innovation: Vector3<f64>,
-        noise: &Matrix3<f64>,
-    ) -> bool {
-        let before = self.contradicting.filter(|(last, _)| {
-            let change = innovation - last;
-            let inverse = (2.0 * noise).try_inverse();
-            inverse.is_some_and(|inverse| change.dot(&(inverse * change)) <= GATE[2])
+    /// Notes that the gate rejected a correction. Whether so many in a row say the same that the estimate is taken to be wrong.
+    fn is_contradicted(&mut self, settings: &EstimatorSettings, pose: Pose2, noise: &Matrix3<f64>) -> bool {
+        let estimate = self.map_from_base();
+        let before = self.contradicting.filter(|last| {
+            // Where the robot is by the last one, and by its motion since.
+            let expected = last.pose * (last.estimate.inverse() * estimate);
+            let off = Vector3::new(
+                pose.x - expected.x,
+                pose.y - expected.y,
+                wrap_angle(pose.yaw - expected.yaw),
+            );
+            let inverse = (noise + last.noise).try_inverse();
+            inverse.is_some_and(|inverse| off.dot(&(inverse * off)) <= GATE[2])
         });
-        let count = before.map_or(1, |(_, count)| count + 1);
-        self.contradicting = Some((innovation, count));
+        let count = before.map_or(1, |last| last.count + 1);
+        self.contradicting = Some(Contradicting {
+            pose,
+            noise: *noise,
+            estimate,
+            count,
+        });
         count >= settings.contradicted_by
+    }
+
+    /// Notes how far a correction has moved the estimate.
+    fn note_move(&mut self, before: Pose2) {
+        let moved = before.inverse() * self.map_from_base();
+        if moved.x.hypot(moved.y) > ELSEWHERE.0 || moved.yaw.abs() > ELSEWHERE.1 {
+            self.replaced_at = Some(self.time);
+        }
+    }
+
+    /// Doubts the pose: the next measurement counts almost alone.
+    fn doubt(&mut self) {
+        self.covariance += SMatrix::from_diagonal(&State::from([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0]));
     }
 
     /// Updates unless the gate rejects the measurement; after many rejections in a row the estimate itself is doubted.
@@ -590,7 +626,7 @@ impl Ekf {
         *rejected = if fused { 0 } else { *rejected + 1 };
         if *rejected >= settings.doubt_after {
             *rejected = 0;
-            self.covariance += SMatrix::from_diagonal(&State::from([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0]));
+            self.doubt();
         }
         Compared {
             sensor,

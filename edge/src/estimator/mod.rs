@@ -119,7 +119,7 @@ impl Estimator {
             self.correction(correction);
         }
         self.settle();
-        self.was_replaced = self.ekf().replaced_at() != replaced_at;
+        self.was_replaced = self.ekf().replaced_at().is_some_and(|at| Some(at) != replaced_at);
     }
 
     /// Carries the estimate over to another map frame: odometry, and the estimate relative to the walls, stay as they are.
@@ -136,7 +136,8 @@ impl Estimator {
         self.ekf().map_from_base()
     }
 
-    /// Whether this tick's corrections replaced the pose in the map: the robot is somewhere else than it believed.
+    /// Whether this tick's corrections moved the pose in the map by more than 0.3 m or 0.3 rad, against the estimate before or as it was found
+    /// anew: the robot is somewhere else than it believed.
     #[must_use]
     pub fn was_replaced(&self) -> bool {
         self.was_replaced

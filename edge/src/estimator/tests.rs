@@ -518,25 +518,36 @@ fn correction(tick: usize, map_from_base: Pose2) -> Correction {
 
 #[test]
 fn corrections_that_agree_with_each_other_replace_an_estimate_and_others_do_not() {
-    let place = Pose2::new(0.2, 0.0, 0.05);
-    let after = |corrections: &[Pose2]| {
+    // The robot drives on by 0.2 m from one correction to the next, and its heading is off by a radian.
+    let (place, step) = (Pose2::new(0.4, 0.0, 1.0), 0.2);
+    let turn = step / model().drive.wheel_radius;
+    // By how much each correction is off from the place, m; `None` confirms the estimate.
+    let off = |corrections: &[Option<f64>]| {
         let mut estimator = estimator(Pose2::IDENTITY, 0.01);
-        for (nth, pose) in corrections.iter().enumerate() {
-            let tick = 10 * (nth + 1);
-            estimator.step(&readings(tick, [0.0; 2]), [&correction(tick, *pose)]);
+        let mut was_replaced = false;
+        for nth in 0..=10 * corrections.len() {
+            let told = corrections.get((nth / 10).wrapping_sub(1)).filter(|_| nth % 10 == 0);
+            let driven = Pose2::new(0.1 * step * nth as f64, 0.0, 0.0);
+            let told = told.map(|off| match off {
+                Some(off) => correction(nth, place * driven * Pose2::new(*off, 0.0, 0.0)),
+                None => correction(nth, driven),
+            });
+            estimator.step(&readings(nth, [0.1 * turn * nth as f64; 2]), &told);
+            was_replaced |= estimator.was_replaced();
         }
-        (estimator.map_from_base(), estimator.was_replaced())
+        let truth = place * Pose2::new(step * corrections.len() as f64, 0.0, 0.0);
+        (estimator.map_from_base().distance(&truth), was_replaced)
     };
-    let near = |x: f64| Pose2::new(place.x + x, place.y, place.yaw);
-    assert!(after(&[near(0.0), near(0.01)]).0.distance(&Pose2::IDENTITY) < 0.05);
-    let (adopted, was_replaced) = after(&[near(0.0), near(0.01), near(-0.01)]);
-    assert!(adopted.distance(&place) < 0.02 && was_replaced, "{adopted:?}");
-    let scattered = [near(0.0), near(0.3), near(-0.6), near(0.1), near(0.7)];
-    let (kept, was_replaced) = after(&scattered);
-    assert!(kept.distance(&Pose2::IDENTITY) < 0.05 && !was_replaced, "{kept:?}");
-    // One that fits breaks the row.
-    let broken = [near(0.0), near(0.01), Pose2::IDENTITY, near(0.0), near(0.01)];
-    assert!(after(&broken).0.distance(&Pose2::IDENTITY) < 0.05);
+    let (near, was_replaced) = off(&[Some(0.0), Some(0.01), Some(-0.01)]);
+    assert!(near < 0.03 && was_replaced, "{near} m off");
+    for kept in [
+        &[Some(0.0), Some(0.01)][..],
+        &[Some(0.0), Some(0.3), Some(-0.6), Some(0.1), Some(0.7)],
+        &[Some(0.0), Some(0.01), None, Some(0.0), Some(0.01)],
+    ] {
+        let (far, was_replaced) = off(kept);
+        assert!(far > 0.3 && !was_replaced, "{kept:?}: {far} m off");
+    }
 }
 
 #[test]

@@ -36,7 +36,7 @@ impl Pilot {
     }
 
     /// Whether a tick's corrections say that the robot is somewhere else than it believed: one that found it anew, even too late to be used,
-    /// or several that contradict its estimate.
+    /// or the last of several that contradicted its estimate.
     pub(super) fn is_elsewhere(&self, corrections: &[Correction]) -> bool {
         self.estimator.was_replaced() || corrections.iter().any(|correction| correction.is_found_anew)
     }

@@ -203,7 +203,8 @@ fn known_start() -> EstimatorSettings {
     EstimatorSettings {
         start_std: START.0,
         start_yaw_std: START.1,
-        // These corrections come from no map, so their errors do not accumulate.
+        // These corrections come from no map: they share no error, and their errors do not accumulate.
+        map_std: 0.0,
         map_walk: 0.0,
         map_turn_walk: 0.0,
         ..EstimatorSettings::default()

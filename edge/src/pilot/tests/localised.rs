@@ -117,11 +117,11 @@ fn a_robot_that_is_found_somewhere_else_believes_it_at_once_and_drops_its_plan()
 #[test]
 fn a_robot_whose_estimate_is_contradicted_three_times_in_a_row_drops_its_plan() {
     let (mut rig, ..) = driving();
-    let ahead = |rig: &Rig| {
-        let aside = rig.pilot.map_from_base() * Pose2::new(0.0, 3.0, 0.0);
+    let aside = |rig: &Rig| {
+        let place = rig.pilot.map_from_base() * Pose2::new(0.0, 3.0, 0.0);
         Correction {
             is_found_anew: false,
-            ..found_anew(rig, aside)
+            ..found_anew(rig, place)
         }
     };
     let discarded = |rig: &Rig| {
@@ -129,7 +129,7 @@ fn a_robot_whose_estimate_is_contradicted_three_times_in_a_row_drops_its_plan() 
         rig.events.iter().any(is_discarded)
     };
     for nth in 1..=3 {
-        let correction = ahead(&rig);
+        let correction = aside(&rig);
         rig.inbox.corrections.push(correction);
         rig.run(0.2);
         assert_eq!(discarded(&rig), nth == 3, "after {nth}");
