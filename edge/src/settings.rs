@@ -466,7 +466,7 @@ zenav_protocol::settings! {
         /// Share of the forward variance that acts sideways.
         pub sideways_share: f64 = 1e-3, "", 0.0..=1.0;
         /// Standard deviation of a place on the map that corrections refer to: all corrections there share this error.
-        pub map_std: f64 = 0.007, "m", 0.0..=1.0;
+        pub map_std: f64 = 0.006, "m", 0.0..=1.0;
         /// Random walk of the map that corrections refer to, per square root of a metre: places 4 m apart are known to 1 cm relative to
         /// each other.
         pub map_walk: f64 = 0.005, "m/sqrt(m)", 0.0..=1.0;
