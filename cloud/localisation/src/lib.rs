@@ -23,7 +23,9 @@
 //! |---|---|
 //! | `localiser` | where is the robot now, and is that right? |
 //! | `global` | where in the whole map could this scan be from? |
+//! | `track_record` | was the robot carried away, or has the building changed? |
 //! | `view` | what has a lost robot seen so far? |
+//! | `faces` | how far behind the walls of the map does the lidar see them? |
 //! | `known_map` | how near is a point to a wall, and is its cell known? |
 //! | `evidence` | how much of a scan agrees with the map? |
 //! | `settings` | what can be tuned? |
