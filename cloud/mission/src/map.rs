@@ -17,6 +17,8 @@ use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two requests for the whole map, s.
 const RETRY: f64 = 1.0;
+/// The same while a mapper answers and is not heard, s.
+const UNHEARD: f64 = 5.0;
 /// Time to wait for a missing patch before the whole map is requested, s.
 const PATIENCE: f64 = 0.5;
 
@@ -25,6 +27,8 @@ const PATIENCE: f64 = 0.5;
 pub struct RobotMap {
     info: Option<MapInfo>,
     replica: MapReplica,
+    /// Whether anything that the mapper publishes has come.
+    is_heard: bool,
     /// Time since which the replica has been behind.
     behind: Option<Stamp>,
     asking: Option<Ticket>,
@@ -82,10 +86,13 @@ impl RobotMap {
                 PatchResult::Gap => true,
             };
         }
+        self.is_heard |= info.is_some() || !patches.is_empty();
         if info.is_some() {
             self.info = info;
         }
-        let behind = gap || self.info.as_ref().is_some_and(|info| !self.replica.holds(&info.map));
+        let is_old = self.info.as_ref().is_some_and(|info| !self.replica.holds(&info.map));
+        // Without a word of the mapper nothing would tell that there is a map, and a robot without one waits.
+        let behind = gap || is_old || !self.is_heard;
         self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
     }
 
@@ -133,7 +140,8 @@ impl RobotMap {
     pub(crate) fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
-            self.next_ask = now.plus_secs(RETRY);
+            let is_unheard = !self.is_heard && answer.is_ok();
+            self.next_ask = now.plus_secs(if is_unheard { UNHEARD } else { RETRY });
             if let Ok(Answer::Map(reply)) = answer
                 && self.replica.replace(&reply)
             {
@@ -395,19 +403,28 @@ mod tests {
     }
 
     #[test]
-    fn a_replica_with_a_gap_requests_the_whole_map() {
+    fn a_replica_with_a_gap_and_one_that_hears_no_mapper_request_the_whole_map() {
         let mut mapper = Mapper::new(MappingSettings::default(), "m");
-        let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
         mapper.insert(&scan(1, 0.0));
         while mapper.take_patch().is_some() {}
-        map.observe(Stamp::from_secs(1.0), Some(mapper.info()), &[]);
-        map.step(Stamp::from_secs(1.0), &mut asks);
-        assert!(asks.take_new().is_empty(), "a patch may still be on its way");
-        map.observe(Stamp::from_secs(2.0), None, &[]);
-        map.step(Stamp::from_secs(2.0), &mut asks);
-        let (ticket, _) = asks.take_new().pop().unwrap();
-        asks.answer(ticket, Ok(Answer::Map(Box::new(mapper.reply()))));
-        map.step(Stamp::from_secs(2.1), &mut asks);
-        assert_eq!(map.newest().as_ref(), Some(mapper.map()));
+        for told in [Some(mapper.info()), None] {
+            let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
+            map.observe(Stamp::from_secs(1.0), told.clone(), &[]);
+            map.step(Stamp::from_secs(1.0), &mut asks);
+            assert!(asks.take_new().is_empty(), "a patch may still be on its way");
+            map.observe(Stamp::from_secs(2.0), None, &[]);
+            map.step(Stamp::from_secs(2.0), &mut asks);
+            let (ticket, _) = asks.take_new().pop().unwrap();
+            asks.answer(ticket, Ok(Answer::Map(Box::new(mapper.reply()))));
+            map.step(Stamp::from_secs(2.1), &mut asks);
+            assert_eq!(map.newest().as_ref(), Some(mapper.map()));
+            // Later changes would not be heard either.
+            let is_heard = told.is_some();
+            for (secs, asks_again) in [(6.0, false), (7.2, !is_heard)] {
+                map.observe(Stamp::from_secs(secs), None, &[]);
+                map.step(Stamp::from_secs(secs), &mut asks);
+                assert_eq!(!asks.take_new().is_empty(), asks_again, "{secs} s, heard: {is_heard}");
+            }
+        }
     }
 }

@@ -162,17 +162,22 @@ pub async fn run(
     client.all_end(LONG).await?;
     findings.first_mission = begun.elapsed().as_secs_f64();
 
+    // Before the first fault: a robot that has no goals yet would rest for that reason.
+    let mut next = [1; LANES.len()];
+    client.top_up(&mut next).await?;
     let client = Arc::new(client);
     let ending = Arc::new(AtomicBool::new(false));
     let feeding = tokio::spawn({
         let (client, ending) = (Arc::clone(&client), Arc::clone(&ending));
-        async move { client.feed(&ending).await }
+        async move { client.feed(&ending, next).await }
     });
     let happened = happen(site, faults, begun, &mut truth, &mut findings).await;
     ending.store(true, Ordering::Relaxed);
     // Robots without goals rest, so an error in submitting goals is reported first.
     feeding.await.map_err(|error| error.to_string())??;
-    happened?;
+    if let Err(error) = happened {
+        return Err(format!("{error}; {}", client.under_way().await));
+    }
     client.all_end(2 * LONG).await?;
     findings.count(&client).await?;
     findings.judge(&truth);
@@ -364,19 +369,40 @@ impl Client {
         Ok(reply.goals.into_iter().map(|goal| (goal.id, goal.state)).collect())
     }
 
-    /// Keeps [`OUTSTANDING`] goals per robot until the end.
-    async fn feed(&self, ending: &AtomicBool) -> Result<(), String> {
-        let mut next = [1; LANES.len()];
+    /// What each robot's mission is doing, in its own words.
+    async fn under_way(&self) -> String {
+        let mut told = Vec::new();
+        for (robot, _) in LANES {
+            told.push(
+                match self.asked(&topics::GOALS, robot, &GoalsRequest::default()).await {
+                    Ok(reply) => match reply.goals.iter().find(|goal| goal.state == GoalPhase::Active) {
+                        Some(goal) => format!("{} {:?}", goal.id, goal.feedback),
+                        None => format!("{robot} has no active goal"),
+                    },
+                    Err(error) => format!("goals of {robot}: {error}"),
+                },
+            );
+        }
+        told.join(", ")
+    }
+
+    /// Keeps [`OUTSTANDING`] goals per robot until the end. `next` are the numbers of the robots' next goals.
+    async fn feed(&self, ending: &AtomicBool, mut next: [usize; LANES.len()]) -> Result<(), String> {
         while !ending.load(Ordering::Relaxed) {
-            for ((robot, _), next) in LANES.into_iter().zip(&mut next) {
-                let goals = self.goals(robot).await?;
-                let open = goals.values().filter(|phase| !phase.is_end()).count();
-                for _ in open..OUTSTANDING {
-                    self.submit(robot, *next).await?;
-                    *next += 1;
-                }
-            }
+            self.top_up(&mut next).await?;
             tokio::time::sleep(Duration::from_millis(500)).await;
+        }
+        Ok(())
+    }
+
+    async fn top_up(&self, next: &mut [usize; LANES.len()]) -> Result<(), String> {
+        for ((robot, _), next) in LANES.into_iter().zip(next) {
+            let goals = self.goals(robot).await?;
+            let open = goals.values().filter(|phase| !phase.is_end()).count();
+            for _ in open..OUTSTANDING {
+                self.submit(robot, *next).await?;
+                *next += 1;
+            }
         }
         Ok(())
     }
