@@ -91,7 +91,8 @@ impl RobotMap {
             self.info = info;
         }
         let is_old = self.info.as_ref().is_some_and(|info| !self.replica.holds(&info.map));
-        // Without a word of the mapper nothing would tell that there is a map, and a robot without one waits.
+        // Without a word of the mapper nothing tells that there is a map, and a robot without one waits. Between two routers Zenoh 1.10 can
+        // lose subscriptions for good if one is replaced while the other is busy (eclipse-zenoh/zenoh, issue 1886).
         let behind = gap || is_old || !self.is_heard;
         self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
     }

@@ -160,58 +160,6 @@ impl Pulse {
     }
 }
 
-/// What mapping publishes.
-struct Mapping {
-    info: Latest<MapInfo>,
-    patches: Subscription<MapPatch>,
-    localisation: Latest<Localisation>,
-    frame: Latest<MapFrame>,
-    annotations: Latest<Annotations>,
-    /// Whether anything of the map has come.
-    is_heard: bool,
-}
-
-impl Mapping {
-    fn open(bus: &Bus, robot: &str) -> Result<Self, BusError> {
-        let name = [robot];
-        Ok(Self {
-            info: bus.latest(&topics::MAP_INFO, &name)?,
-            patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
-            localisation: bus.latest(&topics::LOCALISATION, &name)?,
-            frame: bus.latest(&topics::MAP_FRAME, &name)?,
-            annotations: bus.latest(&topics::ANNOTATIONS, &name)?,
-            is_heard: false,
-        })
-    }
-
-    fn drain(&mut self, inputs: &mut Inputs, trace: &mut MissionTrace) {
-        inputs.map_info = self.info.take();
-        inputs.localisation = self.localisation.take();
-        inputs.map_frame = self.frame.take();
-        inputs.annotations = self.annotations.take();
-        let patches = std::iter::from_fn(|| self.patches.try_next()).map(|received| {
-            trace.heard(received.trace);
-            received.message
-        });
-        inputs.map_patches.extend(patches.take(MAX_WAITING));
-        self.is_heard |= inputs.map_info.is_some() || !inputs.map_patches.is_empty();
-    }
-
-    /// Subscribes anew if mapping answers a request for the map and nothing that it publishes has come. Zenoh 1.10 sometimes loses a
-    /// subscription that is declared after the router of its session was replaced.
-    fn listen_again_if_unheard(&mut self, bus: &Bus, robot: &str, answers: &[(Ticket, Result<Answer, NoAnswer>)]) {
-        let is_answered = answers.iter().any(|(_, answer)| matches!(answer, Ok(Answer::Map(_))));
-        if self.is_heard || !is_answered {
-            return;
-        }
-        tracing::warn!(robot, "mapping answers and is not heard: subscribes to it anew");
-        match Self::open(bus, robot) {
-            Ok(anew) => *self = anew,
-            Err(error) => tracing::warn!(robot, %error, "mapping cannot be subscribed to"),
-        }
-    }
-}
-
 /// Everything between the mission and the bus.
 struct Shell {
     bus: Bus,
@@ -223,7 +171,11 @@ struct Shell {
     pose: Latest<PoseEstimate>,
     yields: Latest<Yield>,
     events: Subscription<Event>,
-    mapping: Mapping,
+    map_info: Latest<MapInfo>,
+    map_patches: Subscription<MapPatch>,
+    localisation: Latest<Localisation>,
+    map_frame: Latest<MapFrame>,
+    annotations: Latest<Annotations>,
     mapper: AliveWatch,
     pulse: Pulse,
     plan: Publisher<Plan>,
@@ -247,7 +199,11 @@ impl Shell {
             pose: bus.latest(&topics::POSE, &name)?,
             yields: bus.latest(&topics::YIELD, &name)?,
             events: bus.subscribe(&topics::EVENT, &name, MAX_WAITING)?,
-            mapping: Mapping::open(bus, &robot)?,
+            map_info: bus.latest(&topics::MAP_INFO, &name)?,
+            map_patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
+            localisation: bus.latest(&topics::LOCALISATION, &name)?,
+            map_frame: bus.latest(&topics::MAP_FRAME, &name)?,
+            annotations: bus.latest(&topics::ANNOTATIONS, &name)?,
             mapper: bus.watch_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "mapping"]))?,
             pulse: Pulse {
                 publisher: bus.publisher(&topics::HEARTBEAT, &name)?,
@@ -324,13 +280,24 @@ impl Shell {
         }
         inputs.pose = self.pose.take();
         inputs.yields = self.yields.take();
+        inputs.map_info = self.map_info.take();
+        inputs.localisation = self.localisation.take();
+        inputs.map_frame = self.map_frame.take();
+        inputs.annotations = self.annotations.take();
         inputs.events.extend(
             std::iter::from_fn(|| self.events.try_next())
                 .map(|received| received.message)
                 .take(MAX_WAITING),
         );
         self.metrics.heard(&inputs.events);
-        self.mapping.drain(inputs, &mut self.trace);
+        inputs.map_patches.extend(
+            std::iter::from_fn(|| self.map_patches.try_next())
+                .map(|received| {
+                    self.trace.heard(received.trace);
+                    received.message
+                })
+                .take(MAX_WAITING),
+        );
         while let Some((_, alive)) = self.mapper.try_next() {
             inputs.mapper_alive = Some(alive);
         }
@@ -338,8 +305,6 @@ impl Shell {
             .answers
             .extend(std::iter::from_fn(|| self.answers.try_recv().ok()).take(MAX_ANSWERS));
         self.trace.answers(&inputs.answers);
-        self.mapping
-            .listen_again_if_unheard(&self.bus, &self.robot, &inputs.answers);
         self.workers.update();
     }
 

@@ -20,8 +20,8 @@ const DIALLED: [(&str, &str); 3] = [
     ("hall-world", "bodies"),
 ];
 
-/// Log filter of the parts; includes Zenoh's message when it closes a link.
-const LOGGED: &str = "info,zenoh=off,zenoh_link=off,zenoh_transport=error";
+/// Log filter of the parts; includes Zenoh's message when it closes a link, and when it drops a declaration of another router.
+const LOGGED: &str = "info,zenoh=off,zenoh::net::routing::hat=error,zenoh_link=off,zenoh_transport=error";
 
 /// A second compose file with fixed addresses for the parts that this process dials, because certificates name the dialled address.
 fn additions<'a>(site: u8, parts: impl Iterator<Item = &'a str>) -> Value {
