@@ -17,7 +17,7 @@ use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two requests for the whole map, s.
 const RETRY: f64 = 1.0;
-/// The same while a mapper answers and is not heard, s.
+/// The same while a mapper answers and has never been heard, s.
 const UNHEARD: f64 = 5.0;
 /// Time to wait for a missing patch before the whole map is requested, s.
 const PATIENCE: f64 = 0.5;

@@ -395,6 +395,7 @@ impl Client {
         Ok(())
     }
 
+    /// Submits goals until each robot has [`OUTSTANDING`] unfinished ones; counts up the numbers of the next.
     async fn top_up(&self, next: &mut [usize; LANES.len()]) -> Result<(), String> {
         for ((robot, _), next) in LANES.into_iter().zip(next) {
             let goals = self.goals(robot).await?;
