@@ -1,7 +1,8 @@
 //! Impaired link. Computes when bytes sent now arrive.
 //!
-//! One direction of a link: all bytes arrive in order, `delay` plus jitter after they were sent, limited by the rate, and not while the
-//! link stalls or is cut. Deterministic for a given seed and sequence of calls.
+//! One direction of a link: everything arrives in order, `delay` plus jitter after it was sent, limited by the rate, and not while the link
+//! stalls. Bytes of a connection wait for the end of a cut, and before a full queue; datagrams are lost there. Deterministic for a given seed
+//! and sequence of calls.
 
 use std::time::Duration;
 
@@ -20,6 +21,8 @@ pub(super) struct Impairment {
     pub jitter: Duration,
     /// Bytes per second; `None`: unlimited.
     pub rate: Option<f64>,
+    /// Share of the datagrams that are lost, 0 to 1.
+    pub loss: f64,
     /// Length of a stall, in which nothing passes...
     pub stall: Duration,
     /// ...and the mean time between stalls (exponential). `None`: no stalls.
@@ -72,13 +75,32 @@ impl Link {
             // Nothing arrives behind bytes held by an endless cut.
             return Duration::MAX;
         }
+        let uncut = self.arrival_without_cuts(now, bytes);
+        self.arrived = self.after_cuts(uncut);
+        self.arrived
+    }
+
+    /// Arrival time of a datagram sent now; `None` if it is lost: at random, before a full queue, or in a cut.
+    pub(super) fn datagram_arrival(&mut self, now: Duration, bytes: usize) -> Option<Duration> {
+        let is_lost = self.rng.random::<f64>() < self.impairment(now).loss;
+        if is_lost || self.is_cut(now) || !self.full_for(now).is_zero() {
+            return None;
+        }
+        let arrival = self.arrival_without_cuts(now, bytes);
+        if self.is_cut(arrival) {
+            return None;
+        }
+        self.arrived = arrival;
+        Some(arrival)
+    }
+
+    fn arrival_without_cuts(&mut self, now: Duration, bytes: usize) -> Duration {
         let impairment = self.impairment(now);
         let takes = impairment.rate.map_or(0.0, |rate| bytes as f64 / rate.max(1.0));
         self.entered = self.entered.max(now) + Duration::from_secs_f64(takes);
         let jitter = impairment.jitter.mul_f64(self.rng.random::<f64>());
         let arrival = (self.entered + impairment.delay + jitter).max(self.arrived);
-        self.arrived = self.passes(arrival, &impairment);
-        self.arrived
+        self.after_stalls(arrival, &impairment)
     }
 
     /// Time until the queue before the link has room again; until then the sender is blocked, as by any full buffer.
@@ -97,16 +119,23 @@ impl Link {
         last.map(|change| change.to).unwrap_or_default()
     }
 
-    /// The first time, from `from` on, at which the link passes data.
-    fn passes(&mut self, from: Duration, impairment: &Impairment) -> Duration {
-        let mut at = self.after_stalls(from, impairment);
+    /// The first time, from `from` on, at which the link is not cut.
+    fn after_cuts(&self, from: Duration) -> Duration {
+        let mut at = from;
         // A cut may end within another one.
         for _ in 0..=self.cuts.len() {
-            let cut = self.cuts.iter().find(|cut| at >= cut.at && at - cut.at < cut.lasts);
-            let Some(cut) = cut else { break };
+            let Some(cut) = self.cut(at) else { break };
             at = cut.at.saturating_add(cut.lasts);
         }
         at
+    }
+
+    fn is_cut(&self, at: Duration) -> bool {
+        self.cut(at).is_some()
+    }
+
+    fn cut(&self, at: Duration) -> Option<&Cut> {
+        self.cuts.iter().find(|cut| at >= cut.at && at - cut.at < cut.lasts)
     }
 
     fn after_stalls(&mut self, from: Duration, impairment: &Impairment) -> Duration {
@@ -212,6 +241,40 @@ mod tests {
         let mut link = link(Impairment::default(), &cuts);
         let arrivals = [999, 1000, 1400, 1599, 1600].map(|now| link.arrival(ms(now), 1));
         assert_eq!(arrivals, [999, 1600, 1600, 1600, 1600].map(ms));
+    }
+
+    #[test]
+    fn datagrams_are_lost_at_random_before_a_full_queue_and_in_cuts() {
+        let lossy = Impairment {
+            loss: 0.2,
+            ..Impairment::default()
+        };
+        let mut random = link(lossy, &[]);
+        let lost = (0..10_000)
+            .filter(|now| random.datagram_arrival(ms(*now), 100).is_none())
+            .count();
+        // Standard deviation of 40.
+        assert!((1800..2200).contains(&lost), "{lost}");
+
+        let narrow = Impairment {
+            rate: Some(10_000.0),
+            ..Impairment::default()
+        };
+        let mut full = link(narrow, &[]);
+        let arrived = (0..20).filter(|_| full.datagram_arrival(ms(0), 1000).is_some()).count();
+        assert_eq!(arrived, 5, "400 ms of bytes fit, and one more datagram");
+
+        let slow = Impairment {
+            delay: ms(100),
+            ..Impairment::default()
+        };
+        let cut = Cut {
+            at: ms(1000),
+            lasts: ms(500),
+        };
+        let mut cut = link(slow, &[cut]);
+        let arrivals = [899, 900, 1000, 1499, 1500].map(|now| cut.datagram_arrival(ms(now), 1));
+        assert_eq!(arrivals, [Some(ms(999)), None, None, None, Some(ms(1600))]);
     }
 
     #[test]

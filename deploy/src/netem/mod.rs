@@ -1,23 +1,24 @@
-//! `zenav netem`: a TCP proxy that imitates a bad link with delay, rate limit, stalls and cuts; needs no root. All its connections share the
-//! one link.
+//! `zenav netem`: a proxy for TCP or UDP that imitates a bad link with delay, rate limit, loss, stalls and cuts; needs no root. All its
+//! connections share the one link.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `link` | when do bytes sent now arrive? |
 //! | `script` | the text form of impairments and their changes |
+//! | `tcp`, `udp` | forwarding |
 
 mod link;
 mod script;
+mod tcp;
+mod udp;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::net::{TcpListener, TcpSocket, TcpStream};
-use tokio::sync::{mpsc, watch};
+use tokio::net::UdpSocket;
+use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 use zenav_protocol::bus::interrupted;
 
@@ -28,11 +29,7 @@ use crate::tasks;
 use link::{Impairment, Link};
 pub use script::Script;
 
-/// Largest piece forwarded at once, bytes.
-const PIECE: usize = 16 * 1024;
-/// Socket buffer size, bytes; the kernel doubles it.
-const BUFFER: u32 = 16 * 1024;
-/// Most pieces in flight in one direction of a connection; beyond that the sender blocks, as on a full link.
+/// Most pieces in flight in one direction of a connection; beyond that the sender blocks, as on a full link, and datagrams are lost.
 const UNDER_WAY: usize = 4096;
 
 /// Arguments of `zenav netem`.
@@ -44,12 +41,13 @@ const UNDER_WAY: usize = 4096;
                   zenav edge --connect tcp/127.0.0.1:7460"
 )]
 pub struct NetemArgs {
-    /// Address to listen on, `HOST:PORT` or `tcp/HOST:PORT`; port 0 takes a free one and prints it
+    /// Address to listen on, `HOST:PORT`, `tcp/HOST:PORT`, or `quic/HOST:PORT` for links with an identity, which use UDP; port 0 takes a free
+    /// one and prints it
     #[arg(long, value_name = "ADDRESS", value_parser = address)]
-    listen: String,
-    /// Address to forward connections to
+    listen: Address,
+    /// Address to forward to, over the same protocol
     #[arg(long, value_name = "ADDRESS", value_parser = address)]
-    to: String,
+    to: Address,
     /// Delay each way
     #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = script::duration)]
     delay: Duration,
@@ -62,13 +60,16 @@ pub struct NetemArgs {
     /// Length of random stalls and mean time between them, such as 500ms/10s
     #[arg(long, value_name = "TIME/TIME")]
     stall: Option<String>,
+    /// Share of the datagrams that are lost, such as 5%; TCP shows loss as stalls
+    #[arg(long, value_name = "PERCENT", value_parser = script::loss)]
+    loss: Option<f64>,
     /// Cut the link at this time, counted from the start; may be repeated
     #[arg(long, value_name = "TIME", value_parser = script::duration)]
     cut_at: Vec<Duration>,
     /// Length of each cut [default: for ever]
     #[arg(long, value_name = "TIME", requires = "cut_at", value_parser = script::duration)]
     cut_for: Option<Duration>,
-    /// Close every connection at this time; may be repeated
+    /// Close every connection at this time, or forget it, as a NAT does; may be repeated
     #[arg(long, value_name = "TIME", value_parser = script::duration)]
     reset_at: Vec<Duration>,
     /// File of further changes, one per line: `10s delay 500ms`, `20s rate 256kbit`, `30s cut 5s`, `40s reset`
@@ -84,19 +85,52 @@ pub struct NetemArgs {
 /// # Errors
 /// A taken port, a bad address, a bad line of the script.
 pub fn run(args: &NetemArgs) -> Outcome {
+    let protocol = args.listen.protocol;
+    if args.to.protocol != protocol {
+        return Err(Failure::usage("--to: expected the protocol of --listen".to_owned()));
+    }
     let script = timeline(args)?;
+    if protocol == Protocol::Tcp && script.loses() {
+        return Err(Failure::usage(
+            "loss: expected a link over UDP (`--listen quic/HOST:PORT`); TCP repeats what is lost, so imitate it with stalls".to_owned(),
+        ));
+    }
+    let cannot_listen = |error| Failure::failed(format!("--listen {}: {error}", args.listen.host));
     tasks::block_on(&runtime()?, async {
-        let listener = listen(&args.listen)
-            .await
-            .map_err(|error| Failure::failed(format!("--listen {}: {error}", args.listen)))?;
-        let address = listener.local_addr().map_err(Failure::failed)?;
-        crate::output::line(&format!("tcp/{address}"));
-        tracing::info!(listen = %address, to = args.to, "netem up");
-        tokio::select! {
-            () = interrupted() => Ok(exit_code::OK),
-            error = serve(&listener, &args.to, &script, args.seed) => Err(Failure::failed(error)),
-        }
+        let link = Impaired::new(&script, args.seed);
+        let to = args.to.host.as_str();
+        let error = match protocol {
+            Protocol::Tcp => {
+                let listener = tcp::listen(&args.listen.host).await.map_err(cannot_listen)?;
+                up(listener.local_addr(), "tcp", to)?;
+                until_interrupted(tcp::serve(&listener, to, &link)).await
+            }
+            Protocol::Udp => {
+                let socket = first_of(&args.listen.host, UdpSocket::bind)
+                    .await
+                    .map_err(cannot_listen)?;
+                up(socket.local_addr(), "quic", to)?;
+                until_interrupted(udp::serve(socket, to, &link)).await
+            }
+        };
+        error.map_or(Ok(exit_code::OK), |error| Err(Failure::failed(error)))
     })
+}
+
+/// Tells where it listens.
+fn up(listening: std::io::Result<SocketAddr>, protocol: &str, to: &str) -> Result<(), Failure> {
+    let address = listening.map_err(Failure::failed)?;
+    crate::output::line(&format!("{protocol}/{address}"));
+    tracing::info!(listen = %address, to, "netem up");
+    Ok(())
+}
+
+/// The error that ended it; `None` if it was interrupted.
+async fn until_interrupted(serving: impl Future<Output = std::io::Error>) -> Option<std::io::Error> {
+    tokio::select! {
+        () = interrupted() => None,
+        error = serving => Some(error),
+    }
 }
 
 fn timeline(args: &NetemArgs) -> Result<Script, Failure> {
@@ -108,6 +142,7 @@ fn timeline(args: &NetemArgs) -> Result<Script, Failure> {
         delay: args.delay,
         jitter: args.jitter,
         rate: rate.map_err(named("--rate"))?.flatten(),
+        loss: args.loss.unwrap_or_default(),
         stall,
         every,
     });
@@ -125,26 +160,74 @@ fn timeline(args: &NetemArgs) -> Result<Script, Failure> {
     Ok(script)
 }
 
-/// One direction of the link, shared by all connections.
+/// The link, shared by everything that is forwarded.
 #[derive(Clone)]
-struct Shared(Arc<Mutex<Link>>);
+struct Impaired {
+    up: Direction,
+    down: Direction,
+    resets: watch::Receiver<u32>,
+}
 
-impl Shared {
-    fn new(link: Link) -> Self {
-        Self(Arc::new(Mutex::new(link)))
+impl Impaired {
+    /// The link of a script, which begins now. Call it within a runtime.
+    fn new(script: &Script, seed: u64) -> Self {
+        let start = Instant::now();
+        let (reset, resets) = watch::channel(0_u32);
+        let mut times = script.resets.clone();
+        times.sort_unstable();
+        tasks::spawn(async move {
+            for at in times {
+                sleep_until(start + at).await;
+                reset.send_modify(|count| *count += 1);
+            }
+            // No further resets; the channel must stay open.
+            reset.closed().await;
+        });
+        // Each direction has its own random numbers.
+        let direction = |way: u64| {
+            let seed = seed.wrapping_mul(1_000_003).wrapping_add(way);
+            let link = Link::new(script.changes.clone(), script.cuts.clone(), seed);
+            Direction {
+                link: Arc::new(Mutex::new(link)),
+                start,
+            }
+        };
+        Self {
+            up: direction(0),
+            down: direction(1),
+            resets,
+        }
     }
 
+    /// Ends with the next reset.
+    async fn reset(&self) {
+        let mut resets = self.resets.clone();
+        resets.mark_unchanged();
+        // The sender lives as long as this receiver.
+        let _ = resets.changed().await;
+    }
+}
+
+/// One direction of the link.
+#[derive(Clone)]
+struct Direction {
+    link: Arc<Mutex<Link>>,
+    start: Instant,
+}
+
+impl Direction {
     fn lock(&self) -> MutexGuard<'_, Link> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.link.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until the queue before the link has room, which other connections take too, and returns the most bytes to read then.
-    async fn room(&self, start: Instant) -> usize {
+    /// Waits until the queue before the link has room, which other connections take too, and returns the most bytes to read then, at most
+    /// `most`.
+    async fn room(&self, most: usize) -> usize {
         loop {
-            let now = start.elapsed();
+            let now = self.start.elapsed();
             let (full, most) = {
                 let link = self.lock();
-                (link.full_for(now), link.piece(now, PIECE))
+                (link.full_for(now), link.piece(now, most))
             };
             if full.is_zero() {
                 return most;
@@ -152,73 +235,18 @@ impl Shared {
             tokio::time::sleep(full).await;
         }
     }
-}
 
-/// Forwards every connection until accepting fails.
-async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> std::io::Error {
-    let start = Instant::now();
-    let (reset, resets) = watch::channel(0_u32);
-    let times = script.resets.clone();
-    let closing = tasks::spawn(async move {
-        let mut times = times;
-        times.sort_unstable();
-        for at in times {
-            sleep_until(start + at).await;
-            reset.send_modify(|count| *count += 1);
-        }
-        // No further resets; the channel must stay open.
-        reset.closed().await;
-    });
-    // Each direction has its own random numbers.
-    let link = |way: u64| {
-        let seed = seed.wrapping_mul(1_000_003).wrapping_add(way);
-        Shared::new(Link::new(script.changes.clone(), script.cuts.clone(), seed))
-    };
-    let (up, down) = (link(0), link(1));
-    let error = loop {
-        let (client, peer) = match listener.accept().await {
-            Ok(accepted) => accepted,
-            Err(error) => break error,
-        };
-        let (up, down, to, mut resets) = (up.clone(), down.clone(), to.to_owned(), resets.clone());
-        resets.mark_unchanged();
-        tasks::spawn(async move {
-            tracing::info!(%peer, "connected");
-            tokio::select! {
-                _ = resets.changed() => tracing::info!(%peer, "reset"),
-                ended = connect(client, &to, up, down, start) => match ended {
-                    Ok(()) => tracing::info!(%peer, "closed"),
-                    Err(error) => tracing::warn!(%peer, to, %error, "closed"),
-                },
-            }
-        });
-    };
-    closing.abort();
-    error
-}
+    /// When bytes sent now arrive; `None`: never.
+    fn arrival(&self, bytes: usize) -> Option<Instant> {
+        let arrival = self.lock().arrival(self.start.elapsed(), bytes);
+        self.start.checked_add(arrival)
+    }
 
-/// Forwards one connection until both sides have closed it.
-async fn connect(client: TcpStream, to: &str, up: Shared, down: Shared, start: Instant) -> std::io::Result<()> {
-    let server = first_of(to, async |address| socket(address)?.connect(address).await).await?;
-    client.set_nodelay(true)?;
-    server.set_nodelay(true)?;
-    let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
-    tokio::try_join!(
-        pass(from_client, to_server, up, start),
-        pass(from_server, to_client, down, start)
-    )?;
-    Ok(())
-}
-
-/// Listens with small buffers, so that the link limits the data in flight, not the kernel.
-async fn listen(address: &str) -> std::io::Result<TcpListener> {
-    let open = async |address| {
-        let socket = socket(address)?;
-        socket.set_reuseaddr(true)?;
-        socket.bind(address)?;
-        socket.listen(1024)
-    };
-    first_of(address, open).await
+    /// When a datagram sent now arrives; `None` if it is lost.
+    fn datagram_arrival(&self, bytes: usize) -> Option<Instant> {
+        let arrival = self.lock().datagram_arrival(self.start.elapsed(), bytes);
+        self.start.checked_add(arrival?)
+    }
 }
 
 /// Opens the first of a host's addresses that works; otherwise returns the last error.
@@ -233,57 +261,31 @@ async fn first_of<T>(host: &str, open: impl AsyncFn(SocketAddr) -> std::io::Resu
     Err(failure)
 }
 
-fn socket(address: SocketAddr) -> std::io::Result<TcpSocket> {
-    let socket = if address.is_ipv4() {
-        TcpSocket::new_v4()?
-    } else {
-        TcpSocket::new_v6()?
-    };
-    socket.set_recv_buffer_size(BUFFER)?;
-    Ok(socket)
+/// What carries the link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Protocol {
+    Tcp,
+    /// Links with an identity: QUIC.
+    Udp,
 }
 
-/// One direction of a connection.
-async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, link: Shared, start: Instant) -> std::io::Result<()> {
-    let (sender, mut under_way) = mpsc::channel::<(Duration, Vec<u8>)>(UNDER_WAY);
-    let reading = async move {
-        let mut buffer = vec![0; PIECE];
-        loop {
-            let most = link.room(start).await;
-            let bytes = from.read(buffer.get_mut(..most).unwrap_or_default()).await?;
-            let Some(piece) = buffer.get(..bytes).filter(|piece| !piece.is_empty()) else {
-                return std::io::Result::Ok(());
-            };
-            let arrival = link.lock().arrival(start.elapsed(), bytes);
-            if sender.send((arrival, piece.to_vec())).await.is_err() {
-                return Ok(());
-            }
-        }
-    };
-    let writing = async move {
-        while let Some((arrival, piece)) = under_way.recv().await {
-            match start.checked_add(arrival) {
-                Some(at) => sleep_until(at).await,
-                // Cut for ever.
-                None => std::future::pending().await,
-            }
-            to.write_all(&piece).await?;
-        }
-        to.shutdown().await
-    };
-    tokio::try_join!(reading, writing)?;
-    Ok(())
+/// A protocol and `HOST:PORT`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Address {
+    protocol: Protocol,
+    host: String,
 }
 
-/// `HOST:PORT`, with or without `tcp/` before it.
-fn address(text: &str) -> Result<String, String> {
-    let address = text.strip_prefix("tcp/").unwrap_or(text);
-    match address.split_once('/') {
-        Some((protocol, _)) => Err(format!(
-            "`{protocol}`: expected HOST:PORT or tcp/HOST:PORT, for only TCP passes here; links with an identity use UDP"
-        )),
-        None => crate::arguments::address(address),
-    }
+/// `HOST:PORT`, with or without a protocol before it.
+fn address(text: &str) -> Result<Address, String> {
+    let (protocol, host) = match text.split_once('/') {
+        None => (Protocol::Tcp, text),
+        Some(("tcp", host)) => (Protocol::Tcp, host),
+        Some(("quic" | "udp", host)) => (Protocol::Udp, host),
+        Some((other, _)) => return Err(format!("`{other}`: expected tcp/HOST:PORT or quic/HOST:PORT")),
+    };
+    let host = crate::arguments::address(host)?;
+    Ok(Address { protocol, host })
 }
 
 #[cfg(test)]
@@ -291,50 +293,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_tcp_passes() {
-        assert_eq!(address("tcp/router:7447"), Ok("router:7447".to_owned()));
-        assert_eq!(address("[::1]:0"), Ok("[::1]:0".to_owned()));
-        let refused = address("quic/router:7447").unwrap_err();
-        assert!(refused.contains("`quic`") && refused.contains("UDP"), "{refused}");
-        assert!(address("router").is_err());
-    }
-
-    /// Bytes that each connection sends.
-    const SENT: usize = 16_000;
-
-    /// Sends over one connection; returns once the last byte has left.
-    async fn send(address: SocketAddr) -> std::io::Result<()> {
-        let mut stream = TcpStream::connect(address).await?;
-        stream.write_all(&[7; SENT]).await?;
-        stream.shutdown().await
-    }
-
-    /// Receives what one connection sends.
-    async fn receive(listener: &TcpListener) -> std::io::Result<usize> {
-        let (mut stream, _) = listener.accept().await?;
-        let mut bytes = Vec::new();
-        stream.read_to_end(&mut bytes).await
-    }
-
-    #[tokio::test]
-    async fn two_connections_share_the_rate_of_one_link() {
-        let (proxy, server) = (
-            listen("127.0.0.1:0").await.unwrap(),
-            listen("127.0.0.1:0").await.unwrap(),
-        );
-        let (address, to) = (proxy.local_addr().unwrap(), server.local_addr().unwrap().to_string());
-        let script = Script::from_start(Impairment {
-            rate: Some(32_000.0),
-            ..Impairment::default()
-        });
-        let begun = Instant::now();
-        let transfer = async { tokio::try_join!(send(address), send(address), receive(&server), receive(&server)) };
-        let (.., first, second) = tokio::select! {
-            transferred = transfer => transferred.unwrap(),
-            error = serve(&proxy, &to, &script, 0) => panic!("{error}"),
-        };
-        assert_eq!((first, second), (SENT, SENT));
-        // 32,000 bytes at 32,000 bytes a second.
-        assert!(begun.elapsed() >= Duration::from_secs(1), "{:?}", begun.elapsed());
+    fn an_address_has_a_protocol() {
+        let read = |text| address(text).map(|address| (address.protocol, address.host));
+        assert_eq!(read("tcp/router:7447"), Ok((Protocol::Tcp, "router:7447".to_owned())));
+        assert_eq!(read("[::1]:0"), Ok((Protocol::Tcp, "[::1]:0".to_owned())));
+        assert_eq!(read("quic/router:7447"), Ok((Protocol::Udp, "router:7447".to_owned())));
+        assert!(read("tls/router:7447").unwrap_err().contains("`tls`"));
+        assert!(read("router").is_err());
     }
 }

@@ -6,6 +6,7 @@
 //! 0s   delay  80ms
 //! 10s  rate   256kbit
 //! 20s  stall  500ms/10s     # for half a second, every ten on average
+//! 25s  loss   5%            # of the datagrams
 //! 30s  cut    5s
 //! 45s  reset                # every connection is closed
 //! 60s  delay  0ms
@@ -20,7 +21,7 @@ use super::link::{Change, Cut, Impairment};
 pub struct Script {
     pub(super) changes: Vec<Change>,
     pub(super) cuts: Vec<Cut>,
-    /// Times at which every connection is closed.
+    /// Times at which every connection is closed, or forgotten.
     pub(super) resets: Vec<Duration>,
 }
 
@@ -48,6 +49,11 @@ impl Script {
         Ok(())
     }
 
+    /// Whether it loses datagrams at any time.
+    pub(super) fn loses(&self) -> bool {
+        self.changes.iter().any(|change| change.to.loss > 0.0)
+    }
+
     fn add(&mut self, words: &[&str]) -> Result<(), String> {
         let (at, name, value) = match words {
             [at, name] => (duration(at)?, *name, None),
@@ -65,6 +71,7 @@ impl Script {
             "jitter" => to.jitter = duration(value("a time, such as 20ms")?)?,
             "rate" => to.rate = rate(value("a rate, such as 256kbit, or `none`")?)?,
             "stall" => (to.stall, to.every) = stall(value("two times, such as 500ms/10s, or `none`")?)?,
+            "loss" => to.loss = loss(value("a share, such as 5%")?)?,
             "cut" => {
                 let lasts = duration(value("a time, such as 5s")?)?;
                 self.cuts.push(Cut { at, lasts });
@@ -75,7 +82,9 @@ impl Script {
                 return Ok(());
             }
             _ => {
-                return Err(format!("`{name}`: expected delay, jitter, rate, stall, cut or reset"));
+                return Err(format!(
+                    "`{name}`: expected delay, jitter, rate, stall, loss, cut or reset"
+                ));
             }
         }
         if at < last.at {
@@ -139,6 +148,18 @@ pub(super) fn rate(text: &str) -> Result<Option<f64>, String> {
     }
 }
 
+/// A share, 0 to 1: a number of percent.
+///
+/// # Errors
+/// What was expected.
+pub(super) fn loss(text: &str) -> Result<f64, String> {
+    let percent = text.strip_suffix('%').and_then(|number| number.parse::<f64>().ok());
+    let share = percent.filter(|percent| (0.0..=100.0).contains(percent));
+    share
+        .map(|percent| percent / 100.0)
+        .ok_or_else(|| format!("`{text}`: expected a share of the datagrams, such as 5%"))
+}
+
 /// Length of a stall, and mean time between stalls; `none` for no stalls.
 ///
 /// # Errors
@@ -163,11 +184,12 @@ mod tests {
     #[test]
     fn a_script_is_read_line_by_line() {
         let mut script = Script::from_start(Impairment::default());
-        let text = "# a link\n0s delay 80ms\n10s rate 256kbit\n20s stall 500ms/10s # now and then\n30s cut 5s\n45s reset\n1min delay 0ms\n";
+        let text = "# a link\n0s delay 80ms\n10s rate 256kbit\n20s stall 500ms/10s # now and then\n25s loss 5%\n30s cut 5s\n45s reset\n1min delay 0ms\n";
         script.read(text).unwrap();
         let last = script.changes.last().unwrap();
-        assert_eq!((script.changes.len(), last.at), (5, Duration::from_secs(60)));
+        assert_eq!((script.changes.len(), last.at), (6, Duration::from_secs(60)));
         assert_eq!((last.to.delay, last.to.rate), (Duration::ZERO, Some(32_000.0)));
+        assert!((last.to.loss - 0.05).abs() < 1e-12);
         assert_eq!(last.to.every, Some(Duration::from_secs(10)));
         assert_eq!(script.cuts.len() + script.resets.len(), 2);
     }
@@ -178,9 +200,11 @@ mod tests {
             ("\n10 delay 80ms", "line 2: `10`: expected a time with its unit"),
             ("10s delay", "line 1: `delay`: expected a time, such as 80ms behind it"),
             ("10s rate 5", "`5`: expected bits a second"),
+            ("10s loss 5", "`5`: expected a share of the datagrams, such as 5%"),
+            ("10s loss 105%", "`105%`: expected a share"),
             (
-                "10s loss 5%",
-                "`loss`: expected delay, jitter, rate, stall, cut or reset",
+                "10s lose 5%",
+                "`lose`: expected delay, jitter, rate, stall, loss, cut or reset",
             ),
             (
                 "10s delay 1ms\n5s delay 2ms",

@@ -54,6 +54,7 @@
 //! | `threads`, `memory` | Zenoh's threads: how many a process needs; what keeps its memory bounded |
 //! | `service_manager` | notifications to the service manager: ready, alive, stopping |
 //! | `overhead` | cost of the typed bus over raw Zenoh |
+//! | `probe` | whether a router answers at an endpoint, however late |
 //! | `link`, `flow` | for the metrics and the log: links to routers; traffic and losses per topic |
 //! | `inbox` | bounded queues between Zenoh's threads and the readers |
 //! | `rate`, `limiter` | samples that come far faster than the rate of their key |
@@ -75,6 +76,7 @@ mod limiter;
 mod link;
 mod memory;
 pub mod overhead;
+mod probe;
 mod publish;
 mod rate;
 mod raw;

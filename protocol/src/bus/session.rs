@@ -21,6 +21,7 @@ use zenoh::{Config, Session};
 
 use super::limiter::Pace;
 use super::link::{self, SETTLING};
+use super::probe::Probing;
 use super::rights::{Denied, Rights};
 use super::security::{Security, certificates};
 
@@ -31,13 +32,17 @@ pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// A silent link counts as dead after this time, ms.
 pub(super) const LEASE_MS: u64 = 2000;
-/// Time limits of a link's handshake, ms, tried in order. A handshake takes two round trips, three with TLS. The shortest limit comes
-/// first: on a cut link each attempt takes this long, which also delays reconnection after the link heals.
-const HANDSHAKES_MS: [u64; 3] = [1000, 3000, 12_000];
+/// Time limits of a link's handshake, ms, tried in order. A handshake takes three round trips, and four at most with certificates; the last limit
+/// is for a round trip of 5 s. The shortest comes first: on a cut link each attempt takes this long, which also delays reconnection after
+/// the link heals.
+const HANDSHAKES_MS: [u64; 3] = [1000, 3000, 20_000];
 /// As above, for commands, which do not wait forever.
 const COMMAND_HANDSHAKES_MS: [u64; 2] = [1000, 8000];
-/// Over QUIC, a handshake continues by itself when a link heals, so a single limit is enough.
-const QUIC_HANDSHAKE_MS: u64 = 3000;
+/// The same over QUIC, where a handshake continues by itself when a link heals.
+const QUIC_HANDSHAKES_MS: [u64; 2] = [3000, 20_000];
+const QUIC_COMMAND_HANDSHAKES_MS: [u64; 1] = [3000];
+/// Time limit of a handshake beyond which the link counts as slow, ms.
+const SLOW_MS: u64 = 3000;
 /// Time limit of a handshake between routers, ms, and of an incoming handshake as seen by the accepting side.
 pub(super) const ROUTER_HANDSHAKE_MS: u64 = 2000;
 const ACCEPTED_MS: u64 = 20_000;
@@ -47,6 +52,8 @@ const ACCEPTED: u64 = 1000;
 /// whatever its priority, and by itself Linux lets megabytes wait: a minute's worth on a link of 256 kbit/s, two seconds' with this limit. It
 /// passes 0.4 Mbit/s over a round trip of 1 s.
 const NARROW_SEND_BUFFER: u32 = 32 * 1024;
+/// Time after which a client's router is probed.
+const PROBED: Duration = Duration::from_millis(500);
 /// Time until a link is reported, on top of the handshake limit.
 const SHOWS: Duration = Duration::from_millis(600);
 /// Largest message accepted from a link, bytes: more than the largest of the key table.
@@ -213,17 +220,22 @@ impl Bus {
         let limits = config.handshakes(mode);
         let mut limit = 0;
         loop {
-            let handshake = limits.get(limit).copied().unwrap_or(QUIC_HANDSHAKE_MS);
+            let handshake = limits.get(limit).copied().unwrap_or(SLOW_MS);
+            // A client that links at once needs no probe.
+            let after = if mode == WhatAmI::Router {
+                Duration::ZERO
+            } else {
+                PROBED
+            };
+            let mut probing = Probing::begin(&config.connect, limit + 1 < limits.len(), after);
             let began = Instant::now();
             let opened = zenoh::open(config.settings(mode, handshake)?).await;
             let is_slow = began.elapsed() >= Duration::from_millis(handshake);
             match opened {
-                // The session listens, and links in the background. If the endpoint accepts connections but the link is not up yet, the
-                // link is slow.
+                // The session listens, and links in the background. If the endpoint answers but the link is not up yet, the link is slow.
                 Ok(session)
                     if mode == WhatAmI::Router
-                        && limit + 1 < limits.len()
-                        && somebody_listens(&config.connect).await
+                        && probing.has_answer().await
                         && !is_linked(&session, Duration::from_millis(handshake) + SHOWS).await =>
                 {
                     let _ = tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await;
@@ -261,7 +273,11 @@ impl Bus {
                         );
                     }
                     tracing::debug!(endpoints = ?config.connect, %error, "no router yet");
-                    limit = if is_slow { (limit + 1) % limits.len().max(1) } else { 0 };
+                    limit = if is_slow && probing.has_answer().await {
+                        limit + 1
+                    } else {
+                        0
+                    };
                     sleep(Duration::from_millis(wait_ms)).await;
                     wait_ms = (wait_ms * 2).min(MAX_RETRY_MS);
                 }
@@ -388,30 +404,15 @@ impl BusConfig {
 
     /// Time limits of a handshake, ms, in the order in which they are tried.
     fn handshakes(&self, mode: WhatAmI) -> &'static [u64] {
-        if self.connect.iter().any(|endpoint| !endpoint.starts_with("tcp/")) {
-            &[]
-        } else if mode == WhatAmI::Router || self.retry {
-            &HANDSHAKES_MS
-        } else {
-            &COMMAND_HANDSHAKES_MS
+        let is_tcp = self.connect.iter().all(|endpoint| endpoint.starts_with("tcp/"));
+        let waits = mode == WhatAmI::Router || self.retry;
+        match (is_tcp, waits) {
+            (true, true) => &HANDSHAKES_MS,
+            (true, false) => &COMMAND_HANDSHAKES_MS,
+            (false, true) => &QUIC_HANDSHAKES_MS,
+            (false, false) => &QUIC_COMMAND_HANDSHAKES_MS,
         }
     }
-}
-
-/// Whether one of these endpoints accepts TCP connections.
-async fn somebody_listens(endpoints: &[String]) -> bool {
-    for endpoint in endpoints {
-        let address = endpoint
-            .trim_start_matches("tcp/")
-            .split(['?', '#'])
-            .next()
-            .unwrap_or_default();
-        let connected = tokio::time::timeout(Duration::from_secs(1), tokio::net::TcpStream::connect(address)).await;
-        if matches!(connected, Ok(Ok(_))) {
-            return true;
-        }
-    }
-    false
 }
 
 /// Whether a session links to a router within a time.
@@ -475,7 +476,7 @@ pub(super) fn link_settings(
 #[must_use]
 pub fn client_settings(connect: &[String], name: &str, identity: Option<&Path>) -> Value {
     let handshake_ms = match identity {
-        Some(_) => QUIC_HANDSHAKE_MS,
+        Some(_) => QUIC_HANDSHAKES_MS[0],
         None => HANDSHAKES_MS[0],
     };
     let mut settings = plain_settings(WhatAmI::Client, connect, &[], name, handshake_ms);
@@ -492,13 +493,10 @@ pub fn client_settings(connect: &[String], name: &str, identity: Option<&Path>) 
 fn plain_settings(mode: WhatAmI, connect: &[String], listen: &[String], name: &str, handshake_ms: u64) -> Value {
     // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router retries forever in the background.
     let timeout_ms = if mode == WhatAmI::Client { 0 } else { -1 };
-    // The other side receives nothing for one round trip after it has accepted this side.
-    let lease_ms = if handshake_ms > QUIC_HANDSHAKE_MS {
-        handshake_ms
-    } else {
-        LEASE_MS
-    };
-    json!({
+    // The other side receives nothing for one round trip, a third of a handshake, after it has accepted this side.
+    let is_slow = handshake_ms > SLOW_MS;
+    let lease_ms = if is_slow { LEASE_MS + handshake_ms / 3 } else { LEASE_MS };
+    let mut settings = json!({
         "mode": mode.to_string(),
         "metadata": { "name": name },
         "connect": {
@@ -523,7 +521,13 @@ fn plain_settings(mode: WhatAmI, connect: &[String], listen: &[String], name: &s
             "link": { "tx": { "lease": lease_ms }, "rx": { "max_message_size": MAX_MESSAGE } },
         },
         "adminspace": { "enabled": true, "permissions": { "read": true, "write": false } },
-    })
+    });
+    if is_slow {
+        // A link begins with few bytes a round trip, which is no reason to close it.
+        settings["transport"]["link"]["tx"]["queue"]["congestion_control"]["block"]["wait_before_close"] =
+            json!(handshake_ms * 1000);
+    }
+    settings
 }
 
 #[cfg(test)]
