@@ -270,6 +270,8 @@ pub(crate) enum Ended {
     Outdated,
     /// They were suspended, and let nobody in for a while.
     Suspended,
+    /// They no longer know what others subscribe to.
+    Deaf,
 }
 
 impl Ended {
@@ -284,6 +286,7 @@ impl Ended {
             Self::Done => return Ok(exit_code::OK),
             Self::Outdated => "the fleet's members or the certificate have changed",
             Self::Suspended => "it was suspended, and handshakes that were given up meanwhile keep others out",
+            Self::Deaf => "Zenoh dropped what another router declared, and messages for its parts would not reach them",
         };
         tracing::info!("the process starts anew: {why}");
         Err(Failure::failed(format!("cannot start anew: {}", threads::restart())))
@@ -541,6 +544,7 @@ pub fn router(args: &RouterArgs) -> Outcome {
             _ = &mut interrupt => Ended::Done,
             () = outdated => Ended::Outdated,
             () = router.was_suspended() => Ended::Suspended,
+            () = router.is_deaf() => Ended::Deaf,
         };
         router.close().await;
         Ok::<_, Failure>(ended.unless_interrupted(&interrupt))

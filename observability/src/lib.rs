@@ -9,9 +9,11 @@
 //! | [`readiness`] | the conditions that a part waits for |
 //! | [`server`] | `/livez`, `/readyz`, `/metrics` |
 //! | [`trace`] | spans across parts |
+//! | [`declarations`] | whether Zenoh has dropped what another router declared |
 //! | [`process`] | memory, processor time, open files, age of this process |
 //! | [`logging`], [`recent`] | log lines as text or JSON; the newest ones, on request |
 
+pub mod declarations;
 mod declare;
 pub mod logging;
 pub mod metrics;

@@ -10,6 +10,7 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, fmt, registry};
 
+use crate::declarations::{self, NoteDropped};
 use crate::recent::KeepRecent;
 
 /// Form of a log line.
@@ -49,14 +50,18 @@ pub fn format() -> Format {
     FORMAT.get().copied().unwrap_or_default()
 }
 
-/// Starts logging, filtered by `RUST_LOG`, or by `filter` if that is unset. A second call (tests in one process) has no effect.
+/// Starts logging, filtered by `RUST_LOG`, or by `filter` if that is unset; Zenoh's errors in routing between routers are always logged
+/// ([`declarations`]). A second call (tests in one process) has no effect.
 pub fn init<W>(format: Format, filter: &str, writer: W)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
     let format = *FORMAT.get_or_init(|| format);
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
-    let all = registry().with(filter).with(KeepRecent);
+    let mut filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
+    if let Some(directive) = declarations::directive() {
+        filter = filter.add_directive(directive);
+    }
+    let all = registry().with(filter).with(NoteDropped).with(KeepRecent);
     // A closed stderr must not be reported on stderr: that would end the process.
     let lines = fmt::layer().with_writer(writer).log_internal_errors(false);
     let _ = match format {

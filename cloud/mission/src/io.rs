@@ -35,6 +35,8 @@ pub struct Inputs {
     pub map_info: Option<MapInfo>,
     /// Map patches, in order.
     pub map_patches: Vec<MapPatch>,
+    /// Whether mapping is silent: nothing that it publishes has come for so long that its beats should have.
+    pub is_mapping_silent: bool,
     /// Whether the robot's pose can be trusted, if new.
     pub localisation: Option<Localisation>,
     /// The frame of the map and the poses of its parts, if new.

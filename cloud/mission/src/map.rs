@@ -17,8 +17,8 @@ use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two requests for the whole map, s.
 const RETRY: f64 = 1.0;
-/// The same while a mapper answers and has never been heard, s.
-const UNHEARD: f64 = 5.0;
+/// The same while mapping answers but is silent, s.
+const SILENT: f64 = 5.0;
 /// Time to wait for a missing patch before the whole map is requested, s.
 const PATIENCE: f64 = 0.5;
 
@@ -27,8 +27,8 @@ const PATIENCE: f64 = 0.5;
 pub struct RobotMap {
     info: Option<MapInfo>,
     replica: MapReplica,
-    /// Whether anything that the mapper publishes has come.
-    is_heard: bool,
+    /// Whether nothing that mapping publishes comes.
+    is_silent: bool,
     /// Time since which the replica has been behind.
     behind: Option<Stamp>,
     asking: Option<Ticket>,
@@ -86,15 +86,20 @@ impl RobotMap {
                 PatchResult::Gap => true,
             };
         }
-        self.is_heard |= info.is_some() || !patches.is_empty();
         if info.is_some() {
             self.info = info;
         }
         let is_old = self.info.as_ref().is_some_and(|info| !self.replica.holds(&info.map));
-        // Without a word of the mapper nothing tells that there is a map, and a robot without one waits. Between two routers Zenoh 1.10 can
-        // lose subscriptions for good if one is replaced while the other is busy (eclipse-zenoh/zenoh, issue 1886).
-        let behind = gap || is_old || !self.is_heard;
+        // Nothing tells that there is a map, or a newer one. Between two routers Zenoh 1.10 can lose subscriptions for good if one is replaced
+        // while the other is busy (eclipse-zenoh/zenoh, issue 1886).
+        let is_unheard = self.is_silent && self.mapper_gone.is_none();
+        let behind = gap || is_old || is_unheard;
         self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
+    }
+
+    /// Observes whether mapping is silent: nothing that it publishes has come for so long that its beats should have.
+    pub fn observe_silence(&mut self, is_silent: bool) {
+        self.is_silent = is_silent;
     }
 
     /// Observes whether a mapper is alive.
@@ -141,8 +146,8 @@ impl RobotMap {
     pub(crate) fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
-            let is_unheard = !self.is_heard && answer.is_ok();
-            self.next_ask = now.plus_secs(if is_unheard { UNHEARD } else { RETRY });
+            let is_unheard = self.is_silent && answer.is_ok();
+            self.next_ask = now.plus_secs(if is_unheard { SILENT } else { RETRY });
             if let Ok(Answer::Map(reply)) = answer
                 && self.replica.replace(&reply)
             {
@@ -404,13 +409,15 @@ mod tests {
     }
 
     #[test]
-    fn a_replica_with_a_gap_and_one_that_hears_no_mapper_request_the_whole_map() {
+    fn a_replica_with_a_gap_and_one_whose_mapping_is_silent_request_the_whole_map() {
         let mut mapper = Mapper::new(MappingSettings::default(), "m");
         mapper.insert(&scan(1, 0.0));
         while mapper.take_patch().is_some() {}
-        for told in [Some(mapper.info()), None] {
+        for is_silent in [false, true] {
             let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
-            map.observe(Stamp::from_secs(1.0), told.clone(), &[]);
+            map.observe_silence(is_silent);
+            let told = (!is_silent).then(|| mapper.info());
+            map.observe(Stamp::from_secs(1.0), told, &[]);
             map.step(Stamp::from_secs(1.0), &mut asks);
             assert!(asks.take_new().is_empty(), "a patch may still be on its way");
             map.observe(Stamp::from_secs(2.0), None, &[]);
@@ -420,12 +427,29 @@ mod tests {
             map.step(Stamp::from_secs(2.1), &mut asks);
             assert_eq!(map.newest().as_ref(), Some(mapper.map()));
             // Later changes would not be heard either.
-            let is_heard = told.is_some();
-            for (secs, asks_again) in [(6.0, false), (7.2, !is_heard)] {
+            for (secs, asks_again) in [(6.0, false), (7.2, is_silent)] {
                 map.observe(Stamp::from_secs(secs), None, &[]);
                 map.step(Stamp::from_secs(secs), &mut asks);
-                assert_eq!(!asks.take_new().is_empty(), asks_again, "{secs} s, heard: {is_heard}");
+                assert_eq!(!asks.take_new().is_empty(), asks_again, "{secs} s, silent: {is_silent}");
             }
         }
+    }
+
+    #[test]
+    fn mapping_that_is_gone_is_not_asked_for_its_silence() {
+        let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
+        map.observe_silence(true);
+        map.observe_mapper(Stamp::from_secs(0.5), false);
+        for secs in [1.0, 3.0] {
+            map.observe(Stamp::from_secs(secs), None, &[]);
+            map.step(Stamp::from_secs(secs), &mut asks);
+        }
+        assert!(asks.take_new().is_empty());
+        map.observe_mapper(Stamp::from_secs(3.0), true);
+        for secs in [3.0, 4.0] {
+            map.observe(Stamp::from_secs(secs), None, &[]);
+            map.step(Stamp::from_secs(secs), &mut asks);
+        }
+        assert_eq!(asks.take_new().len(), 1);
     }
 }

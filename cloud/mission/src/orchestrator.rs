@@ -147,10 +147,11 @@ impl Mission {
         if let Some(frame) = inputs.map_frame {
             ctx.frames.observe(frame);
         }
-        ctx.map.observe(now, inputs.map_info, &inputs.map_patches);
         if let Some(alive) = inputs.mapper_alive {
             ctx.map.observe_mapper(now, alive);
         }
+        ctx.map.observe_silence(inputs.is_mapping_silent);
+        ctx.map.observe(now, inputs.map_info, &inputs.map_patches);
         for (ticket, answer) in inputs.answers {
             ctx.asks.answer(ticket, answer);
         }

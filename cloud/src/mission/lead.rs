@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use tokio::sync::mpsc;
-use tokio::time::{Instant, MissedTickBehavior};
+use tokio::time::Instant;
 use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, KeyedPublisher, Latest, Publisher, Subscription};
 use zenav_protocol::messages::{
     Annotations, EdgeState, Event, GoalState, Heartbeat, InfoRequest, Localisation, MapFrame, MapInfo, MapPatch,
-    MissionStatus, Plan, PoseEstimate, Refusal, Yield,
+    MappingLeader, MissionStatus, Plan, PoseEstimate, Refusal, Yield,
 };
 use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
@@ -33,7 +33,9 @@ const LONGEST_STEP: Duration = Duration::from_secs(20);
 const BEAT: Duration = Duration::from_millis(100);
 /// Time for other missions to answer.
 const ROLL_CALL: Duration = Duration::from_millis(300);
-/// Interval between checks whether this process was suspended.
+/// Time after which mapping that was not heard is silent: many times the interval of its beats, and a late link.
+const MAPPING_SILENT: Duration = Duration::from_secs(5);
+/// Longest time between two steps, and between two checks whether this process was suspended.
 const PULSE: Duration = Duration::from_millis(200);
 
 /// Leads, or requests to, until shutdown or until another mission leads.
@@ -51,14 +53,12 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
     metrics::leads(&shell.robot, true);
     service.role.met();
     let mut ticks = service.clock.interval(PERIOD);
-    // The robot's clock may stop; this one does not.
-    let mut pulse = tokio::time::interval(PULSE);
-    pulse.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut last = Instant::now();
     loop {
         let mut inputs = Inputs::default();
         tokio::select! {
-            _ = pulse.tick() => {}
+            // The robot's clock may stop; this one does not.
+            () = tokio::time::sleep_until(last + PULSE) => {}
             () = service.shutdown.wait() => {
                 if shell.standbys.is_held_up(last) {
                     return Ok(Turn::Over);
@@ -173,6 +173,9 @@ struct Shell {
     events: Subscription<Event>,
     map_info: Latest<MapInfo>,
     map_patches: Subscription<MapPatch>,
+    mapping_beats: Latest<MappingLeader>,
+    /// When anything that mapping publishes last came.
+    mapping_heard: Option<Instant>,
     localisation: Latest<Localisation>,
     map_frame: Latest<MapFrame>,
     annotations: Latest<Annotations>,
@@ -201,6 +204,8 @@ impl Shell {
             events: bus.subscribe(&topics::EVENT, &name, MAX_WAITING)?,
             map_info: bus.latest(&topics::MAP_INFO, &name)?,
             map_patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
+            mapping_beats: bus.latest(&topics::MAPPING_LEADER, &name)?,
+            mapping_heard: None,
             localisation: bus.latest(&topics::LOCALISATION, &name)?,
             map_frame: bus.latest(&topics::MAP_FRAME, &name)?,
             annotations: bus.latest(&topics::ANNOTATIONS, &name)?,
@@ -298,6 +303,11 @@ impl Shell {
                 })
                 .take(MAX_WAITING),
         );
+        let beat = self.mapping_beats.take();
+        if beat.is_some() || inputs.map_info.is_some() || !inputs.map_patches.is_empty() {
+            self.mapping_heard = Some(Instant::now());
+        }
+        inputs.is_mapping_silent = self.mapping_heard.is_none_or(|heard| heard.elapsed() >= MAPPING_SILENT);
         while let Some((_, alive)) = self.mapper.try_next() {
             inputs.mapper_alive = Some(alive);
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use zenav_observability::Readiness;
+use zenav_observability::{Readiness, declarations};
 use zenoh::Session;
 use zenoh::config::WhatAmI;
 
@@ -130,8 +130,18 @@ impl Router {
         }
         let begun = Instant::now();
         let mut looked = begun;
-        while !is_to_start_anew(looked.elapsed(), begun.elapsed(), threads::was_restarted()) {
+        while looked.elapsed() < GIVEN_UP || is_too_soon(begun.elapsed(), threads::was_restarted()) {
             looked = Instant::now();
+            tokio::time::sleep(LOOK).await;
+        }
+    }
+
+    /// Ends once Zenoh has dropped what another router declared ([`declarations`]): messages for that router's parts no longer reach them, until
+    /// all links of this process are made anew. A process that was started anew ends this again only after half a minute.
+    pub async fn is_deaf(&self) {
+        let begun = Instant::now();
+        declarations::dropped().await;
+        while is_too_soon(begun.elapsed(), threads::was_restarted()) {
             tokio::time::sleep(LOOK).await;
         }
     }
@@ -146,9 +156,9 @@ impl Router {
     }
 }
 
-/// Whether a router that did not run for `gap` is to start anew, `running` after its own start; `was_restarted` if that was a restart.
-fn is_to_start_anew(gap: Duration, running: Duration, was_restarted: bool) -> bool {
-    gap >= GIVEN_UP && (!was_restarted || running >= ONCE_IN)
+/// Whether a process that has run for `running` may not yet start anew; `was_restarted` if it already did.
+fn is_too_soon(running: Duration, was_restarted: bool) -> bool {
+    was_restarted && running < ONCE_IN
 }
 
 #[cfg(test)]
@@ -156,14 +166,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_router_that_was_suspended_starts_anew_but_not_again_and_again() {
+    fn a_router_starts_anew_but_not_again_and_again() {
         let secs = Duration::from_secs;
-        assert!(is_to_start_anew(secs(5), secs(6), false));
-        assert!(!is_to_start_anew(secs(2), secs(6), false), "nobody has given up on it");
-        assert!(
-            !is_to_start_anew(secs(5), secs(6), true),
-            "a machine without time for it"
-        );
-        assert!(is_to_start_anew(secs(5), secs(400), true));
+        assert!(!is_too_soon(secs(6), false));
+        assert!(is_too_soon(secs(6), true), "a machine without time for it");
+        assert!(!is_too_soon(secs(400), true));
     }
 }

@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+mod deaf_router;
 mod disk;
 mod memory;
 mod numbers;
