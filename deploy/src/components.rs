@@ -32,6 +32,10 @@ use crate::tasks::boxed;
 /// Time limit for all parts to end.
 const DRAIN: Duration = Duration::from_secs(8);
 
+/// Missions that share a session. Zenoh compares the key of each message, sent or received, with all subscriptions of its session, so a session
+/// of a hundred missions spends most of its time there; each further session costs a link, and some memory.
+const MISSIONS_A_SESSION: usize = 8;
+
 /// Pause before a failed mission is restarted: initial and largest.
 const MISSION_PAUSE: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
@@ -391,7 +395,7 @@ impl Parts {
         Ok(())
     }
 
-    /// Starts robots' missions. They share one session: one orchestrator may serve a hundred robots.
+    /// Starts robots' missions, some to a session: one orchestrator may serve a hundred robots.
     ///
     /// # Errors
     /// Bad zones.
@@ -406,23 +410,30 @@ impl Parts {
             planner: deployment.planning.run.planner.clone(),
             settings: deployment.mission.settings.clone(),
         };
-        let configs: Vec<MissionConfig> = robots.iter().map(config).collect();
-        let name = format!("missions-{}", deployment.mission.run.holder);
-        let (bus, time) = (self.bus(deployment, &name), Time::of(deployment));
-        self.spawn(name, bus, move |bus, shutdown| async move {
-            let clock = time.clock(&bus)?;
-            bus.serve_log()?;
-            let mut missions = JoinSet::new();
-            let has_others = configs.len() > 1;
-            for config in configs {
-                let (bus, clock, shutdown) = (bus.clone(), clock.clone(), shutdown.clone());
-                missions.spawn(boxed(keep_mission(bus, clock, config, shutdown, has_others)));
-            }
-            while let Some(ended) = missions.join_next().await {
-                ended.map_err(|error| Failure::failed(format!("a mission broke off: {error}")))??;
-            }
-            Ok(())
-        });
+        let (holder, has_others) = (&deployment.mission.run.holder, robots.len() > 1);
+        for (nth, robots) in robots.chunks(MISSIONS_A_SESSION).enumerate() {
+            let configs: Vec<MissionConfig> = robots.iter().map(config).collect();
+            let name = match nth {
+                0 => format!("missions-{holder}"),
+                _ => format!("missions-{holder}-{nth}"),
+            };
+            let (bus, time) = (self.bus(deployment, &name), Time::of(deployment));
+            self.spawn(name, bus, move |bus, shutdown| async move {
+                let clock = time.clock(&bus)?;
+                if nth == 0 {
+                    bus.serve_log()?;
+                }
+                let mut missions = JoinSet::new();
+                for config in configs {
+                    let (bus, clock, shutdown) = (bus.clone(), clock.clone(), shutdown.clone());
+                    missions.spawn(boxed(keep_mission(bus, clock, config, shutdown, has_others)));
+                }
+                while let Some(ended) = missions.join_next().await {
+                    ended.map_err(|error| Failure::failed(format!("a mission broke off: {error}")))??;
+                }
+                Ok(())
+            });
+        }
         Ok(())
     }
 
