@@ -25,6 +25,10 @@ const RETRY: f64 = 1.0;
 /// Share of the beams through walls of the map above which the scans of a robot that localises itself deny that it has arrived. People about
 /// the robot hide walls, but no beam passes through one. Walls or furniture that were removed let a smaller share pass.
 const THROUGH_WALLS: f64 = 0.25;
+/// Standard deviations within which a robot is taken to be, and how much farther than the goal's tolerance, m, they may reach: a correction
+/// that moves an estimate by more means on the edge, too, that the robot is somewhere else.
+const SIGMAS: f64 = 3.0;
+const BEYOND_TOLERANCE: f64 = 0.3;
 /// A report this old, s, says nothing any more: one comes every second.
 const SAID_LATELY: f64 = 10.0;
 /// What comes onto the map within this distance of a robot that touched something while driving, m, and within this time of that, s, is what
@@ -133,6 +137,26 @@ impl RobotView {
             format!(
                 "arrived by the robot's own estimate alone: {share:.0} % of its beams pass through walls of the map; \
                  `zenav doctor` says what to do"
+            )
+        })
+    }
+
+    /// Why it may be farther than a tolerance, m, from where it estimates to be, if so: its scans leave its position open along one direction,
+    /// and its own estimate is too uncertain. In any other health it is not the covariance that counts: scans determine the position, or
+    /// nobody compares them.
+    #[must_use]
+    pub fn is_unsure_within(&self, tolerance: f64, now: Stamp) -> Option<String> {
+        let (came, _) = self.localisation.as_ref()?;
+        let said = self.localisation()?;
+        if !matches!(said.health, Health::Degraded { .. }) || now.secs_since(*came) > SAID_LATELY {
+            return None;
+        }
+        let (_, pose) = self.pose.as_ref()?;
+        let within = SIGMAS * position_std(&pose.covariance);
+        (within > tolerance + BEYOND_TOLERANCE).then(|| {
+            format!(
+                "cannot localise: {SIGMAS} sigma is {within:.1} m, the goal asks for {tolerance} m, and the scans leave the \
+                 position open"
             )
         })
     }
@@ -303,6 +327,12 @@ impl RobotView {
     }
 }
 
+/// Standard deviation of the position along its most uncertain direction, m, by the row-major covariance of (x, y, yaw).
+fn position_std(covariance: &[f64; 9]) -> f64 {
+    let [xx, xy, yy] = [covariance[0], covariance[1], covariance[4]];
+    (0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy)).max(0.0).sqrt()
+}
+
 /// Whether a robot with this measured velocity is at rest.
 pub(super) fn is_rest(twist: Twist2) -> bool {
     twist.v.abs() < AT_REST.0 && twist.w.abs() < AT_REST.1
@@ -405,6 +435,52 @@ mod tests {
             None,
             "the report is of another boot"
         );
+    }
+
+    #[test]
+    fn where_its_scans_leave_the_position_open_its_covariance_says_whether_it_is_within_a_tolerance() {
+        // 0.3 m along the diagonal, and 0.01 m beside it.
+        let diagonal = [0.04505, 0.04495, 0.0, 0.04495, 0.04505, 0.0, 0.0, 0.0, 1.0];
+        let along_x = |std: f64| [std * std, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1.0];
+        assert!((position_std(&diagonal) - 0.3).abs() < 1e-6);
+        let open = Health::Degraded { direction: 0.0 };
+        for (health, covariance, tolerance, is_unsure) in [
+            (&open, along_x(0.28), 0.05, true),
+            (&open, diagonal, 0.15, true),
+            (&open, along_x(0.07), 0.05, false),
+            // It may be off by less than the goal allows.
+            (&open, along_x(0.28), 1.0, false),
+            // The scans or its own sensors determine its position.
+            (&Health::Tracking, along_x(0.28), 0.05, false),
+            (&Health::Unchecked, along_x(0.28), 0.05, false),
+        ] {
+            let mut robot = RobotView::default();
+            let pose = PoseEstimate {
+                stamp: Stamp(1),
+                map_from_base: Pose2::IDENTITY,
+                covariance,
+                velocity: Twist2::ZERO,
+                frame: 0,
+            };
+            robot.observe(Stamp::ZERO, None, Some(pose));
+            assert_eq!(robot.is_unsure_within(tolerance, Stamp::ZERO), None, "nobody said so");
+            let said = Localisation {
+                stamp: Stamp::ZERO,
+                boot_id: "boot".to_owned(),
+                health: health.clone(),
+                map_from_base: Pose2::IDENTITY,
+                agreeing: 0.9,
+                through_walls: 0.0,
+            };
+            robot.observe_localisation(Stamp::ZERO, said);
+            let why = robot.is_unsure_within(tolerance, Stamp::from_secs(2.0));
+            assert_eq!(why.is_some(), is_unsure, "{health} {covariance:?}: {why:?}");
+            assert_eq!(
+                robot.is_unsure_within(tolerance, Stamp::from_secs(11.0)),
+                None,
+                "nobody has said so lately"
+            );
+        }
     }
 
     #[test]

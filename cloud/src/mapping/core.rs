@@ -502,3 +502,59 @@ impl MappingCore {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_correction_is_due_after_travel_or_a_turn_or_at_rest_after_a_while_and_counts_from_the_last_one_sent() {
+        let sent = Pose2::new(3.0, -1.0, 3.1);
+        let at = |secs: f64| Stamp::from_secs(100.0 + secs);
+        for (secs, x, yaw, is_due) in [
+            (0.1, 0.0, 0.0, false),
+            (1.0, 0.19, 0.16, false),
+            (1.0, 0.21, 0.0, true),
+            (1.0, -0.21, 0.0, true),
+            // Across the half turn.
+            (1.0, 0.0, 0.18, true),
+            (1.0, 0.0, -0.18, true),
+            (9.9, 0.0, 0.0, false),
+            (10.1, 0.0, 0.0, true),
+            // The robot's clock has restarted.
+            (-50.0, 0.0, 0.0, true),
+        ] {
+            let mut pace = Pace::default();
+            assert!(pace.is_due(at(0.0), sent), "the first one");
+            let here = Pose2::new(sent.x + x, sent.y, wrap_angle(sent.yaw + yaw));
+            assert_eq!(pace.is_due(at(secs), here), is_due, "{secs} s, {x} m, {yaw} rad");
+            assert!(
+                !pace.is_due(at(secs), here),
+                "{secs} s, {x} m, {yaw} rad: it was just sent, or is still not due"
+            );
+        }
+    }
+
+    #[test]
+    fn of_the_scans_every_6_cm_each_fourth_gives_a_correction() {
+        let mut pace = Pace::default();
+        let is_due = |index: &u32| {
+            let x = 0.06 * f64::from(*index);
+            pace.is_due(Stamp::from_secs(2.0 * x), Pose2::new(x, 0.0, 0.0))
+        };
+        let due: Vec<u32> = (0..17).filter(is_due).collect();
+        assert_eq!(due, [0, 4, 8, 12, 16]);
+    }
+
+    #[test]
+    fn a_robot_that_is_told_again_is_told_after_a_time_though_it_stands() {
+        let (mut pace, at) = (Pace::default(), Stamp::from_secs);
+        assert!(pace.is_older(at(1.0), 0.3), "nothing was sent yet");
+        assert!(pace.is_due(at(1.0), Pose2::IDENTITY));
+        let due: Vec<bool> = [1.1, 1.29, 1.31, 1.5, 1.62]
+            .map(|secs| pace.is_older(at(secs), 0.3))
+            .into();
+        assert_eq!(due, [false, false, true, false, true]);
+        assert!(!pace.is_due(at(11.0), Pose2::IDENTITY), "10 s count from then");
+    }
+}

@@ -113,7 +113,7 @@ impl Kidnapping {
 pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
     let is_mapping = source == PoseSource::Slam;
     let mut rng = Rng::new(seed, 11);
-    let world = indoors::world(&House::drawn(&mut Rng::new(seed % 8, 12)).text(), "house")?;
+    let world = indoors::world(&House::drawn(&mut Rng::new(seed, 12)).text(), "house")?;
     let start = world.start();
     let room = Footprint::Radius(indoors::model()?.footprint.circumscribed_radius() + 0.1);
     let mut free = |from: Point2<f64>, far: f64| -> Pose2 {

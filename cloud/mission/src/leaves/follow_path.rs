@@ -2,8 +2,8 @@
 //! way opens.
 //!
 //! SUCCESS at the goal, within its tolerance; FAILURE when the robot makes no progress, when no path leads round an obstacle, when the
-//! robot refuses plan after plan, or when its scans deny that it is at the goal. Without the lease, or while the robot is stopped or driven
-//! by hand, it waits.
+//! robot refuses plan after plan, when its scans deny that it is at the goal, or leave that too uncertain. Without the lease, or while the
+//! robot is stopped or driven by hand, it waits.
 
 mod alternatives;
 
@@ -50,6 +50,8 @@ const CHOICES: [(&str, Choice); 4] = [
 const PARTED: f64 = 0.01;
 /// Distance from the goal at which a robot at rest has arrived, as a share of the tolerance.
 const THERE: f64 = 0.5;
+/// Time at rest at the goal after which a robot that is too uncertain of its position fails, s: a robot at rest is corrected every 10 s.
+const UNSURE: f64 = 12.0;
 
 /// Drives `path`.
 #[derive(Default)]
@@ -75,6 +77,8 @@ pub struct FollowPath {
     blocked_at: Option<f64>,
     /// Until then, obstacles far ahead need no replanning.
     gathered: Stamp,
+    /// Since when the robot has been at rest at the goal by an estimate that is too uncertain.
+    unsure_since: Option<Stamp>,
     /// Frame of the map that its coordinates are in.
     frame: u64,
 }
@@ -93,6 +97,15 @@ struct Memory {
 fn is_there(ctx: &Context, goal: &GoalPoint) -> bool {
     let near = |pose: Pose2| pose.distance(&goal.pose()) <= THERE * ctx.goal.tolerance;
     goal.yaw.is_none() && ctx.robot.is_at_rest() && ctx.robot.pose().is_some_and(near)
+}
+
+/// Why the robot is too uncertain of its position in the known map to be said to have arrived, if so. A map that has parts is drawn by SLAM
+/// on the way: it shares the robot's error, which the covariance includes.
+fn unsure(ctx: &Context) -> Option<String> {
+    let is_known_map = !ctx.frames.is_known(ctx.frames.at());
+    ctx.robot
+        .is_unsure_within(ctx.goal.tolerance, ctx.now)
+        .filter(|_| is_known_map)
 }
 
 fn arrived(io: &mut LeafIo<'_>) -> Status {
@@ -126,7 +139,10 @@ impl Leaf<Context> for FollowPath {
             if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
                 return fail(io, ctx, Some(error_code::TF_ERROR), why);
             }
-            return arrived(io);
+            if unsure(ctx).is_none() {
+                return arrived(io);
+            }
+            self.unsure_since = Some(ctx.now);
         }
         self.offered = ctx.route(data.route);
         // A robot that approached the obstacle continues from there.
@@ -182,6 +198,9 @@ impl Leaf<Context> for FollowPath {
         }
         if memory.frame != ctx.frames.at() && !self.settle(io, ctx, &mut memory) {
             return self.end(io, ctx, error_code::INVALID_PATH, OLD_FRAME.to_owned());
+        }
+        if self.unsure_since.is_some() && is_there(ctx, &memory.goal) {
+            return self.arrive(io, ctx);
         }
         self.look_for_offer(io, ctx, &mut memory);
         self.tracking.observe(io, ctx);
@@ -258,13 +277,9 @@ impl FollowPath {
             .pose()
             .map_or(f64::INFINITY, |pose| pose.distance(&goal.pose()));
         if left <= ctx.goal.tolerance {
-            if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
-                return Some(self.end(io, ctx, error_code::TF_ERROR, why));
-            }
-            self.stop_search(ctx);
-            ctx.end_leg(GoalPhase::Succeeded, None);
-            return Some(arrived(io));
+            return Some(self.arrive(io, ctx));
         }
+        self.unsure_since = None;
         self.misses += 1;
         if self.misses > ctx.config.settings.retries.misses {
             let tolerance = ctx.goal.tolerance;
@@ -274,6 +289,24 @@ impl FollowPath {
         ctx.motion.clear();
         self.begin_search(ctx, goal, 0.0);
         None
+    }
+
+    /// The robot is at rest at the goal by its own estimate: success, unless its scans deny that, or have left it too uncertain for some time.
+    fn arrive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
+            return self.end(io, ctx, error_code::TF_ERROR, why);
+        }
+        if let Some(why) = unsure(ctx) {
+            let since = *self.unsure_since.get_or_insert(ctx.now);
+            if ctx.now.secs_since(since) >= UNSURE {
+                return self.end(io, ctx, error_code::TF_ERROR, why);
+            }
+            self.progress.reset();
+            return step(io, ctx, &format!("waiting: {why}"));
+        }
+        self.stop_search(ctx);
+        ctx.end_leg(GoalPhase::Succeeded, None);
+        arrived(io)
     }
 
     /// Switches to the present frame of the map. The plan in force continues; if its goal has moved relative to the robot's surroundings, a

@@ -39,6 +39,7 @@ struct Stand {
     ctx: Context,
     ms: u64,
     pose: Pose2,
+    covariance: [f64; 9],
     velocity: Twist2,
     events: Vec<Event>,
 }
@@ -79,6 +80,7 @@ impl Stand {
             ctx,
             ms: 1000,
             pose: Pose2::IDENTITY,
+            covariance: [0.0; 9],
             velocity: Twist2::ZERO,
             events: Vec::new(),
         }
@@ -103,7 +105,7 @@ impl Stand {
         let pose = PoseEstimate {
             stamp: now,
             map_from_base: self.pose,
-            covariance: [0.0; 9],
+            covariance: self.covariance,
             velocity: self.velocity,
             frame: 0,
         };
@@ -547,6 +549,53 @@ fn a_robot_whose_beams_pass_through_walls_has_not_arrived_though_it_takes_itself
         stand.ctx.robot.observe_localisation(Stamp(1), said);
         assert_eq!((stand.now(), stand.entry("code").as_str()), (answer, code));
     }
+}
+
+/// The scans leave the position open along x.
+fn open_along_x() -> Localisation {
+    Localisation {
+        stamp: Stamp(1),
+        boot_id: "b".into(),
+        health: Health::Degraded { direction: 0.0 },
+        map_from_base: Pose2::IDENTITY,
+        agreeing: 0.9,
+        through_walls: 0.0,
+    }
+}
+
+#[test]
+fn a_robot_that_is_unsure_of_its_place_at_the_goal_waits_for_a_correction_and_then_fails() {
+    let unsure = [0.0784, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4];
+    for (corrected, code) in [(false, "102"), (true, "0")] {
+        let mut stand =
+            Stand::new(r#"<FollowPath path="{path}" error_code_id="{code}"/>"#).with("path", "[[1,0],[0,0]]");
+        stand.ctx.goal.tolerance = 0.1;
+        stand.covariance = unsure;
+        for secs in [0.05, 5.0, 5.0] {
+            stand.ctx.robot.observe_localisation(stand.ctx.now, open_along_x());
+            assert_eq!(stand.after(secs), Running);
+        }
+        let step = stand.ctx.goal.feedback.step.clone();
+        assert!(step.contains("3 sigma is 0.8 m, the goal asks for 0.1 m"), "{step}");
+        if corrected {
+            stand.covariance = [0.0; 9];
+        }
+        let answer = if corrected { Success } else { Failure };
+        assert_eq!((stand.after(3.0), stand.entry("code").as_str()), (answer, code));
+    }
+}
+
+#[test]
+fn a_map_that_slam_draws_shares_the_error_of_the_robot_which_arrives_at_once() {
+    let mut stand = Stand::new(r#"<FollowPath path="{path}"/>"#).with("path", "[[1,0],[0,0]]");
+    stand.covariance = [1.0, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4];
+    stand.ctx.robot.observe_localisation(stand.ctx.now, open_along_x());
+    stand.ctx.frames.observe(MapFrame {
+        map: MapRef::new("m", 1),
+        parts: vec![Pose2::IDENTITY],
+        ..MapFrame::default()
+    });
+    assert_eq!(stand.now(), Success);
 }
 
 #[test]

@@ -120,28 +120,53 @@ mod tests {
     use crate::inspect::check::Verdict;
 
     #[test]
-    fn a_robot_that_localises_itself_fails_where_its_scans_contradict_the_map() {
+    fn each_health_has_its_verdict_and_an_advice_if_it_fails() {
+        let two = vec![Pose2::new(1.0, 2.0, 0.0), Pose2::new(7.0, 2.0, 3.1)];
         let mut robot = well();
-        for (health, verdict, seen) in [
+        for (health, seen, advice) in [
+            (Health::Tracking, "its scans agree with the map", None),
             (
-                Health::Unchecked,
-                Verdict::Ok,
-                "not compared with a known map: there is none",
+                Health::Degraded { direction: 1.57 },
+                "its scans agree with the map, which leaves the pose open along 1.57 rad",
+                None,
             ),
-            (Health::Contradicted, Verdict::Fail, "do not agree with the map"),
+            (Health::Unchecked, "not compared with a known map: there is none", None),
+            (
+                Health::Contradicted,
+                "do not agree with the map at its own estimate, (1.50, -0.50, 0.10 rad): 10 % of the last one",
+                Some("it drives all the same"),
+            ),
+            (
+                Health::Searching,
+                "searching, last at (1.50, -0.50, 0.10 rad)",
+                Some("it does not drive meanwhile"),
+            ),
+            (
+                Health::Lost,
+                "lost, last at (1.50, -0.50, 0.10 rad)",
+                Some("it does not drive meanwhile"),
+            ),
+            (
+                Health::Ambiguous { hypotheses: two },
+                "its scan fits 2 places: (1.00, 2.00, 0.00 rad), (7.00, 2.00, 3.10 rad)",
+                Some("tell it which one is right: `zenav pose set X Y YAW`"),
+            ),
         ] {
             robot.localisation = Some(Localisation {
                 stamp: Stamp(1),
                 boot_id: "b".into(),
                 health,
-                map_from_base: Pose2::IDENTITY,
+                map_from_base: Pose2::new(1.5, -0.5, 0.1),
                 agreeing: 0.1,
                 through_walls: 0.3,
             });
             let checks = judge(&robot, TIME);
             let found = checks.iter().find(|check| check.check == "localisation").unwrap();
-            assert_eq!(found.verdict, verdict);
+            assert_eq!(found.verdict == Verdict::Fail, advice.is_some(), "{found:?}");
+            assert_eq!(found.verdict == Verdict::Ok, found.advice.is_none(), "{found:?}");
             assert!(found.seen.contains(seen), "{}", found.seen);
+            let told = found.advice.as_deref().unwrap_or_default();
+            assert!(told.contains(advice.unwrap_or_default()), "{told}");
         }
     }
 

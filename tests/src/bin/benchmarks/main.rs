@@ -50,13 +50,14 @@ const RUNS: &[Run] = runs! {
     "localise": "Localisation from random places without a guess", "acceptance localise 1000 --seed 1001";
     "kidnapped": "Robots that are carried away while they drive in a known map", "acceptance kidnapped 260 1001";
     "kidnapped_slam": "Robots that are carried away while they map", "acceptance kidnapped 60 1001 --slam";
-    "corrections": "Localisation in changed houses, and robots that it corrects over a bad link", "acceptance corrections 20 1001";
+    "corrections": "Localisation in changed houses, and robots that it corrects over a bad link", "acceptance corrections 20 4001";
     "closure": "A loop closure that moves the map by a metre under a driving robot", "acceptance closure 20 11";
     "track": "Path error of the trackers", "acceptance track";
     "economy": "Energy of the fastest and the most economical drives", "acceptance economy";
     "kills": "A mission killed at random instants", "acceptance kills 200";
     "handover": "Two missions, the leader killed and paused", "acceptance handover 14 2 77";
     "fleet": "100 robots' missions on one core", "acceptance fleet 100 30";
+    "workers": "Motion requests of 100 robots, one worker of two frozen", "acceptance workers 100";
     "footprint": "The robot's binary alone", "acceptance footprint";
     "drive_s1": "Driving in BARN's worlds, ranges noisy to 1 cm", "zenav bench drive --suite s1 --worlds barn --noise 1";
     "drive_s2": "Driving among discs on random polylines", "zenav bench drive --suite s2";
@@ -65,7 +66,7 @@ const RUNS: &[Run] = runs! {
     "drive_s5": "Driving in tight places", "zenav bench drive --suite s5";
     "drive_s6": "Driving among clutter, in traps and an office", "zenav bench drive --suite s6";
     "drive_s7": "Waiting for what may leave", "zenav bench drive --suite s7";
-    "drive_s8": "Office and hall without GPS and compass", "zenav bench drive --suite s8 --first-seed 140";
+    "drive_s8": "Office and hall without GPS and compass", "zenav bench drive --suite s8 --first-seed 300";
     "drive_s9": "Driving with broken sensors", "zenav bench drive --suite s9";
     "drive_s11": "Robots among robots, one seed", "zenav bench drive --suite s11 --seeds 1";
     "drive_s12": "Processor time on long ways", "zenav bench drive --suite s12";
@@ -85,6 +86,7 @@ const RUNS: &[Run] = runs! {
     "simulator": "The simulator beside IR-SIM", "bench -p zenav-tests --bench simulator";
     "pipeline": "Each stage from scan to plan", "bench -p zenav-tests --bench pipeline";
     "bus": "The typed bus beside raw Zenoh", "bench -p zenav-tests --bench bus";
+    "metrics": "A counter, and a scrape of ten robots", "run --release -q -p zenav-observability --example cost";
 };
 
 /// Runs benches and writes BENCHMARKS.md from their own output
