@@ -406,10 +406,21 @@ async fn parameters_maneuvers_and_requests_by_hand() {
         (&["topic", "pub", "cloud/plan", "{}"], 7, "written by mission alone"),
         (&["topic", "pub", "edge/pose", "{}", "--force"], 2, "PoseEstimate"),
         (&["topic", "pub", "operator/teleop", "{}"], 2, "Teleop"),
+        (&["topic", "pub", "my/la$*", "{}"], 2, "without wildcards"),
+        (&["topic", "echo", "zenav/ti$o/edge/pose"], 2, "zenav/ti$o/edge/pose"),
+        (&["topic", "hz", "zenav/ti$o/edge/pose"], 2, "zenav/ti$o/edge/pose"),
+        (&["topic", "info", "zenav/ti$o/edge/pose"], 2, "zenav/ti$o/edge/pose"),
     ] {
         let said = client(&deployment, words, code);
         assert!(said.contains(what), "{words:?}: {said}");
     }
+    // Zenoh's sign for any letters of a chunk: keys are printed, as with every wildcard.
+    let said = client(
+        &deployment,
+        &["topic", "echo", "zenav/ti$*/edge/pose", "--count", "1"],
+        0,
+    );
+    assert!(said.starts_with("zenav/tiago/edge/pose "), "{said}");
     client(&deployment, &["topic", "pub", "my/lamp", r#"{"on": true}"#], 0);
     client(&deployment, &["ask", "ask/cloud/map?format=pgm", "--out", "map.pgm"], 0);
     assert!(

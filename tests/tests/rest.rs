@@ -51,6 +51,11 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
         (404, &Value::from("NotFound"))
     );
     assert_eq!(get("/zenav//edge").status, 400, "no key");
+    for path in ["/zenav/ti$o/edge/pose", "/zenav/ti%24o/edge/pose", "/zenav/*/ti$o/pose"] {
+        assert_eq!(get(path).status, 400, "{path}: no key");
+    }
+    let any_letters = get("/zenav/ti$*/edge/state").json();
+    assert_eq!(any_letters[0]["key"], "zenav/tiago/edge/state", "{any_letters}");
     assert_eq!(
         get("/zenav/tiago/ask/cloud/map?format=gif").status,
         422,

@@ -221,7 +221,8 @@ async fn info(bus: &Bus, key: &str, robot: Option<&str>, format: Format) -> Outc
             .collect(),
     };
     let mut live = BTreeMap::new();
-    let patterns = if rows.is_empty() {
+    let is_whole = key.starts_with("zenav/") && !key.contains('{');
+    let patterns = if rows.is_empty() || is_whole {
         vec![pattern(key, robot)?]
     } else {
         rows.iter()

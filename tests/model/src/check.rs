@@ -18,12 +18,12 @@ pub enum Size {
     Large,
 }
 
-/// A part of the contract: its rules, and its model with and without each of them.
+/// A part of the contract: its rules, and its model with and without some of them.
 pub trait ContractModel {
     /// The rules of the part.
     type Rule: Copy + Debug + PartialEq + Send + Sync + 'static;
     /// Bounds on the number of events.
-    type Bounds: Copy;
+    type Bounds: Copy + 'static;
     /// The checked system.
     type System: Model<State: Clone + Debug + Hash + PartialEq + Send + Sync, Action: Clone + Debug + PartialEq + Send + Sync>
         + Send
@@ -33,6 +33,8 @@ pub trait ContractModel {
     const NAME: &'static str;
     /// Every rule, in words.
     const RULES: &'static [(Self::Rule, &'static str)];
+    /// Rules that cover for one another: both, in words, and bounds in which the contract breaks without both, but not without either.
+    const PAIRS: &'static [([Self::Rule; 2], &'static str, Self::Bounds)] = &[];
 
     /// The bounds that are searched.
     fn scenarios(size: Size) -> Vec<Self::Bounds>;
@@ -43,8 +45,8 @@ pub trait ContractModel {
     /// The events that may happen within the bounds, and how often at most.
     fn events(bounds: &Self::Bounds) -> Vec<(u8, &'static str)>;
 
-    /// The system, optionally without one rule.
-    fn system(bounds: Self::Bounds, without: Option<Self::Rule>) -> Self::System;
+    /// The system, optionally without some rules.
+    fn system(bounds: Self::Bounds, without: &'static [Self::Rule]) -> Self::System;
 
     /// The bounds in words.
     #[must_use]

@@ -132,11 +132,11 @@ pub struct State {
     acted: BTreeMap<Request, u8>,
 }
 
-/// The system, optionally without one rule.
+/// The system, optionally without some rules.
 #[derive(Debug)]
 pub struct System {
     bounds: Bounds,
-    without: Option<Rule>,
+    without: &'static [Rule],
 }
 
 const GOAL: &str = "g";
@@ -162,7 +162,7 @@ const fn phase(phase: GoalPhase) -> Phase {
 
 impl System {
     fn has(&self, rule: Rule) -> bool {
-        self.without != Some(rule)
+        !self.without.contains(&rule)
     }
 
     /// Ends a step: queues its effects in order.
@@ -471,7 +471,7 @@ impl ContractModel for Goals {
         ]
     }
 
-    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+    fn system(bounds: Bounds, without: &'static [Rule]) -> System {
         System { bounds, without }
     }
 }

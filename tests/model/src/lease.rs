@@ -219,17 +219,17 @@ pub struct State {
     broken: Option<Broken>,
 }
 
-/// The system, optionally without one rule.
+/// The system, optionally without some rules.
 #[derive(Debug)]
 pub struct System {
     bounds: Bounds,
-    without: Option<Rule>,
+    without: &'static [Rule],
     config: EdgeConfig,
 }
 
 impl System {
     fn has(&self, rule: Rule) -> bool {
-        self.without != Some(rule)
+        !self.without.contains(&rule)
     }
 
     /// The echo of a request as the robot receives it.
@@ -303,10 +303,10 @@ impl State {
 
     fn time(&self, system: &System) -> Stamp {
         let now = clock(self.now);
-        match (&self.grant, system.without) {
-            (Some(grant), Some(Rule::Lapse)) => clock(grant.renewed),
+        match &self.grant {
+            Some(grant) if !system.has(Rule::Lapse) => clock(grant.renewed),
             // The robot's clock stops for as long as the cap shortens the extension.
-            (Some(grant), Some(Rule::Longest)) => {
+            Some(grant) if !system.has(Rule::Longest) => {
                 let excess = TICK * f64::from(grant.extra) - round_trip(grant.extra);
                 now.plus_secs(-excess).max(clock(grant.renewed))
             }
@@ -708,7 +708,7 @@ impl ContractModel for Lease {
         ]
     }
 
-    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+    fn system(bounds: Bounds, without: &'static [Rule]) -> System {
         System {
             bounds,
             without,

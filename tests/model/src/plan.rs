@@ -199,11 +199,11 @@ pub struct State {
     moved: bool,
 }
 
-/// The system, optionally without one rule.
+/// The system, optionally without some rules.
 #[derive(Debug)]
 pub struct System {
     bounds: Bounds,
-    without: Option<Rule>,
+    without: &'static [Rule],
     config: EdgeConfig,
     obstacles: LocalObstacles,
 }
@@ -218,7 +218,7 @@ const fn name(mission: u8) -> &'static str {
 
 impl System {
     fn has(&self, rule: Rule) -> bool {
-        self.without != Some(rule)
+        !self.without.contains(&rule)
     }
 
     fn robot(&self, brakes: bool, persisted: Persisted) -> Authority {
@@ -661,7 +661,7 @@ impl ContractModel for PlanValidity {
         ]
     }
 
-    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+    fn system(bounds: Bounds, without: &'static [Rule]) -> System {
         let config = config();
         System {
             bounds,

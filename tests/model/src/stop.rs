@@ -136,17 +136,17 @@ pub struct State {
     broken: Option<Broken>,
 }
 
-/// The system, optionally without one rule.
+/// The system, optionally without some rules.
 #[derive(Debug)]
 pub struct System {
     bounds: Bounds,
-    without: Option<Rule>,
+    without: &'static [Rule],
     config: EdgeConfig,
 }
 
 impl System {
     fn has(&self, rule: Rule) -> bool {
-        self.without != Some(rule)
+        !self.without.contains(&rule)
     }
 }
 
@@ -419,7 +419,7 @@ impl ContractModel for Stop {
         ]
     }
 
-    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+    fn system(bounds: Bounds, without: &'static [Rule]) -> System {
         System {
             bounds,
             without,

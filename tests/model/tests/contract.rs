@@ -6,6 +6,7 @@
 )]
 
 use std::collections::BTreeSet;
+use std::slice;
 
 use zenav_model::check::{ContractModel, Size, check};
 use zenav_model::goals::Goals;
@@ -17,7 +18,7 @@ use zenav_model::stop::Stop;
 fn holds<P: ContractModel>() {
     let mut missing: Option<BTreeSet<&str>> = None;
     for bounds in P::scenarios(Size::Small) {
-        let outcome = check(|| P::system(bounds, None));
+        let outcome = check(|| P::system(bounds, &[]));
         let bounds = P::in_words(&bounds);
         println!(
             "{}, {bounds}: {} states, {} actions deep, {:?}",
@@ -41,7 +42,7 @@ fn holds<P: ContractModel>() {
 fn breaks_without_each_rule<P: ContractModel>() {
     let mut harmless = Vec::new();
     for (rule, says) in P::RULES {
-        let outcome = check(|| P::system(P::breaks_in(*rule), Some(*rule)));
+        let outcome = check(|| P::system(P::breaks_in(*rule), slice::from_ref(rule)));
         let Some((claim, trace)) = outcome.violation else {
             harmless.push((rule, outcome.states));
             continue;
@@ -50,6 +51,21 @@ fn breaks_without_each_rule<P: ContractModel>() {
         trace.iter().for_each(|action| println!("  {action}"));
     }
     assert!(harmless.is_empty(), "nothing is broken without {harmless:?}");
+}
+
+fn breaks_without_both_of_a_pair<P: ContractModel>() {
+    for (rules, says, bounds) in P::PAIRS {
+        for rule in rules {
+            let outcome = check(|| P::system(*bounds, slice::from_ref(rule)));
+            assert!(outcome.holds(), "without {rule:?} alone: {:?}", outcome.violation);
+        }
+        let outcome = check(|| P::system(*bounds, rules));
+        let (claim, trace) = outcome
+            .violation
+            .unwrap_or_else(|| panic!("nothing is broken without {rules:?}"));
+        println!("{} without {rules:?} ({says}), broken: {claim}", P::NAME);
+        trace.iter().for_each(|action| println!("  {action}"));
+    }
 }
 
 #[test]
@@ -100,4 +116,9 @@ fn who_takes_over_has_everything_that_was_acknowledged() {
 #[test]
 fn without_a_rule_of_handover_an_acknowledged_goal_is_lost() {
     breaks_without_each_rule::<Handover>();
+}
+
+#[test]
+fn of_two_rules_of_handover_that_cover_for_one_another_one_is_enough_and_none_is_not() {
+    breaks_without_both_of_a_pair::<Handover>();
 }

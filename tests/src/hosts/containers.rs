@@ -23,16 +23,26 @@ const DIALLED: [(&str, &str); 3] = [
 /// Log filter of the parts; includes Zenoh's message when it closes a link, and when it drops a declaration of another router.
 const LOGGED: &str = "info,zenoh=off,zenoh::net::routing::hat=error,zenoh_link=off,zenoh_transport=error";
 
+/// The host of a part.
+fn host(part: &str) -> &'static str {
+    let host = HOSTS.iter().find(|host| part.starts_with(**host));
+    host.copied().unwrap_or_default()
+}
+
+/// The fixed address of a part that this process dials.
+fn fixed(site: u8, part: &str) -> Option<(&'static str, String)> {
+    let (_, network) = DIALLED.iter().find(|(dialled, _)| *dialled == part)?;
+    Some((*network, super::address(site, host(part), network)))
+}
+
 /// A second compose file with fixed addresses for the parts that this process dials, because certificates name the dialled address.
 fn additions<'a>(site: u8, parts: impl Iterator<Item = &'a str>) -> Value {
     let services: Map<String, Value> = parts
         .map(|part| {
             let mut service = json!({ "environment": { "RUST_LOG": LOGGED } });
-            if let Some((_, network)) = DIALLED.iter().find(|(dialled, _)| *dialled == part) {
-                let host = HOSTS.iter().find(|host| part.starts_with(**host)).copied();
-                let address = super::address(site, host.unwrap_or_default(), network);
+            if let Some((network, address)) = fixed(site, part) {
                 service["networks"] = json!({ "fleet": {} });
-                service["networks"][*network] = json!({ "ipv4_address": address });
+                service["networks"][network] = json!({ "ipv4_address": address });
             }
             (part.to_owned(), service)
         })
@@ -180,6 +190,12 @@ impl Containers {
     fn network(&self, network: &str) -> String {
         format!("{}_{network}", self.project)
     }
+
+    /// The parts on a part's host, each with its container.
+    fn beside(&self, part: &str) -> Vec<(String, String)> {
+        let of_host = self.ids.iter().filter(|(other, _)| host(other) == host(part));
+        of_host.map(|(other, id)| (other.clone(), id.clone())).collect()
+    }
 }
 
 impl Site for Containers {
@@ -222,14 +238,34 @@ impl Site for Containers {
     }
 
     fn cut(&mut self, part: &str) -> Result<(), String> {
-        self.docker(&["network", "disconnect", &self.network("fleet"), self.id(part)?])
-            .map(drop)
+        let (fleet, own, parts) = (self.network("fleet"), self.network(host(part)), self.beside(part));
+        if parts.len() > 1 {
+            self.docker(&["network", "create", "--internal", &own])?;
+        }
+        for (part, id) in &parts {
+            if parts.len() > 1 {
+                self.docker(&["network", "connect", "--alias", part, &own, id])?;
+            }
+            self.docker(&["network", "disconnect", &fleet, id])?;
+        }
+        Ok(())
     }
 
     fn heal(&mut self, part: &str) -> Result<(), String> {
-        let network = self.network("fleet");
-        self.docker(&["network", "connect", "--alias", part, &network, self.id(part)?])
-            .map(drop)
+        let (fleet, own, parts) = (self.network("fleet"), self.network(host(part)), self.beside(part));
+        for (part, id) in &parts {
+            let fixed = fixed(self.site, part).filter(|(network, _)| *network == "fleet");
+            let ip = fixed.iter().flat_map(|(_, address)| ["--ip", address.as_str()]);
+            let connect: Vec<&str> = ["network", "connect", "--alias", part].into_iter().chain(ip).collect();
+            self.docker(&[&connect[..], &[fleet.as_str(), id.as_str()]].concat())?;
+            if parts.len() > 1 {
+                self.docker(&["network", "disconnect", &own, id])?;
+            }
+        }
+        if parts.len() > 1 {
+            self.docker(&["network", "rm", &own])?;
+        }
+        Ok(())
     }
 
     fn update(&mut self, part: &str) -> Result<(), String> {
@@ -256,6 +292,9 @@ impl Site for Containers {
 impl Drop for Containers {
     fn drop(&mut self) {
         let _ = self.compose(0, &["down", "-v", "-t", "1"]);
+        for host in super::ROUTERS {
+            let _ = self.docker(&["network", "rm", &self.network(host)]);
+        }
         let _ = self.docker(&["rmi", "-f", &self.images[0], &self.images[1]]);
     }
 }

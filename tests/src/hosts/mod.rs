@@ -7,10 +7,12 @@
 //! | [`namespaces`] | the units' commands, each host in a network namespace |
 //! | [`truth`] | ground truth of the robots' bodies, from their world |
 //! | [`soak`] | faults for a long time, and the parts' resources meanwhile |
+//! | [`queues`] | messages that wait in a part, from its metrics |
 //! | [`trial`] | missions of three robots under faults, and the checks meanwhile |
 
 pub mod containers;
 pub mod namespaces;
+pub mod queues;
 pub mod soak;
 pub mod trial;
 pub mod truth;
@@ -101,6 +103,9 @@ yaw = 0.0
 /// Names of the hosts with parts.
 pub const HOSTS: [&str; 6] = ["fleet-a", "fleet-b", "hall", "robot-a", "robot-b", "robot-c"];
 
+/// Hosts with a router.
+const ROUTERS: [&str; 2] = ["fleet-a", "fleet-b"];
+
 /// A multi-host deployment on this machine. Parts are named `HOST-PART`, such as `fleet-a-router`.
 pub trait Site: Send {
     /// Its kind: containers or network namespaces.
@@ -118,7 +123,7 @@ pub trait Site: Send {
     /// Endpoints of the routers, as this process reaches them, separated by commas.
     fn routers(&self) -> String {
         let router = |host| format!("quic/{}:7447", address(self.number(), host, "fleet"));
-        ["fleet-a", "fleet-b"].map(router).join(",")
+        ROUTERS.map(router).join(",")
     }
 
     /// The world's endpoint, as this process reaches it.
@@ -155,7 +160,7 @@ pub trait Site: Send {
     /// The system's error.
     fn resume(&mut self, part: &str) -> Result<(), String>;
 
-    /// Cuts the part's host off from the fleet's network.
+    /// Cuts the part's host off from the fleet's network; the parts on it still reach one another.
     ///
     /// # Errors
     /// The system's error.
@@ -166,6 +171,25 @@ pub trait Site: Send {
     /// # Errors
     /// The system's error.
     fn heal(&mut self, part: &str) -> Result<(), String>;
+
+    /// Cuts the two routers off from one another, or reconnects them: the firewall of each drops what comes from the other.
+    ///
+    /// # Errors
+    /// The system's error.
+    fn split(&mut self, is_cut: bool) -> Result<(), String> {
+        let rule = if is_cut { "-I" } else { "-D" };
+        for [here, there] in [ROUTERS, [ROUTERS[1], ROUTERS[0]]] {
+            let process = self.process_id(&format!("{here}-router"))?.to_string();
+            let from = address(self.number(), there, "fleet");
+            let firewall = ["iptables", "-w", rule, "INPUT", "-s", &from, "-j", "DROP"];
+            checked(
+                "nsenter",
+                &[&["-t", &process, "-n"], &firewall[..]].concat(),
+                self.folder(),
+            )?;
+        }
+        Ok(())
+    }
 
     /// Replaces a part as an update does: asks it to end, then starts the new one.
     ///

@@ -6,7 +6,7 @@ use rand::seq::IndexedRandom as _;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
-use super::trial::{Fault, Findings};
+use super::trial::{Fault, Findings, Weight};
 use crate::usage::Held;
 
 /// Bytes of a MiB.
@@ -25,10 +25,11 @@ const LASTING: [&str; 5] = [
     "robot-a-edge-anna",
 ];
 /// Parts that are killed and replaced.
-const REPLACED: [&str; 6] = [
+const REPLACED: [&str; 7] = [
     "fleet-b-router",
     "fleet-b-motion",
     "fleet-b-mission",
+    "fleet-b-mapping",
     "fleet-b-gateway",
     "robot-b-edge-bert",
     "robot-c-edge-carl",
@@ -74,6 +75,8 @@ pub struct Growth {
     pub part: &'static str,
     /// Medians of the second third and of the last.
     pub held: [Held; 2],
+    /// Messages and requests that wait to be read: the same medians.
+    pub waiting: [u64; 2],
     /// Slope of the line that fits the resident memory of both thirds best (least squares), MiB an hour.
     pub hourly: f64,
     /// Processor time per second of wall time.
@@ -87,8 +90,8 @@ impl Growth {
         self.held.map(|held| held.memory as f64 / MIB)
     }
 
-    /// Whether it has not grown by more than a tenth and 2 MiB, from the second third to the last and in an hour, nor by more than 4 handles
-    /// and 2 threads.
+    /// Whether it has not grown by more than a tenth and 2 MiB, from the second third to the last and in an hour, nor by more than 4 handles,
+    /// 2 threads and 4 waiting messages.
     #[must_use]
     pub fn is_flat(&self) -> bool {
         let ([then, now], [before, after]) = (self.memory(), self.held);
@@ -97,13 +100,14 @@ impl Growth {
             && self.hourly <= most
             && after.handles <= before.handles + 4
             && after.threads <= before.threads + 2
+            && self.waiting[1] <= self.waiting[0] + 4
     }
 }
 
 /// Growth of all lasting parts.
 ///
 /// # Errors
-/// A lasting part that was restarted, or a run that is too short.
+/// A lasting part that was restarted or does not tell how many messages wait, or a run that is too short.
 pub fn growth(findings: &Findings) -> Result<Vec<Growth>, String> {
     let third = findings.rows.len() / 3;
     if third < FEWEST {
@@ -118,14 +122,20 @@ pub fn growth(findings: &Findings) -> Result<Vec<Growth>, String> {
         if all.len() < findings.rows.len() {
             return Err(format!("{part} was started anew"));
         }
-        let [_, then, now] = [0, 1, 2].map(|nth| median(&all[nth * third..(nth + 1) * third]));
+        let thirds = [1, 2].map(|nth| &all[nth * third..(nth + 1) * third]);
+        let waiting: Vec<u64> = all
+            .iter()
+            .map(|weight| weight.waiting.clone())
+            .collect::<Result<_, _>>()
+            .map_err(|error| format!("{part}: {error}"))?;
         let cores = match all {
-            [(begin, first), .., (end, last)] => (last.cpu_secs - first.cpu_secs) / (end - begin),
+            [first, .., last] => (last.held.cpu_secs - first.held.cpu_secs) / (last.secs - first.secs),
             _ => 0.0,
         };
         Ok(Growth {
             part,
-            held: [then, now],
+            held: thirds.map(medians),
+            waiting: [1, 2].map(|nth| median(waiting[nth * third..(nth + 1) * third].to_vec())),
             hourly: hourly(&all[third..]),
             cores,
         })
@@ -134,8 +144,8 @@ pub fn growth(findings: &Findings) -> Result<Vec<Growth>, String> {
 }
 
 /// Slope of the least-squares line through the resident memory over time, MiB an hour.
-fn hourly(all: &[(f64, Held)]) -> f64 {
-    let points = || all.iter().map(|(secs, held)| (*secs, held.memory as f64 / MIB));
+fn hourly(all: &[Weight]) -> f64 {
+    let points = || all.iter().map(|weight| (weight.secs, weight.held.memory as f64 / MIB));
     let count = all.len() as f64;
     let (secs, memory) = points().fold((0.0, 0.0), |sums, point| (sums.0 + point.0, sums.1 + point.1));
     let from_mean = || points().map(move |point| (point.0 - secs / count, point.1 - memory / count));
@@ -144,18 +154,19 @@ fn hourly(all: &[(f64, Held)]) -> f64 {
     HOUR * covariance / variance
 }
 
-fn median(all: &[(f64, Held)]) -> Held {
-    let of = |field: fn(&Held) -> u64| {
-        let mut values: Vec<u64> = all.iter().map(|(_, held)| field(held)).collect();
-        values.sort_unstable();
-        values[values.len() / 2]
-    };
+fn medians(all: &[Weight]) -> Held {
+    let of = |field: fn(&Held) -> u64| median(all.iter().map(|weight| field(&weight.held)).collect());
     Held {
         memory: of(|held| held.memory),
         handles: of(|held| held.handles),
         threads: of(|held| held.threads),
-        cpu_secs: all.last().map_or(0.0, |(_, held)| held.cpu_secs),
+        cpu_secs: all.last().map_or(0.0, |weight| weight.held.cpu_secs),
     }
+}
+
+fn median(mut values: Vec<u64>) -> u64 {
+    values.sort_unstable();
+    values[values.len() / 2]
 }
 
 #[cfg(test)]
@@ -163,7 +174,7 @@ mod tests {
     use super::*;
 
     /// Half an hour, a minute a fault, in which every part grows by so much a minute.
-    fn growing(bytes: u64) -> Findings {
+    fn growing(bytes: u64, messages: u64) -> Findings {
         let mut findings = Findings::default();
         for nth in 0..30 {
             let now = Held {
@@ -178,7 +189,11 @@ mod tests {
                     .entry(part.to_owned())
                     .or_insert((1, Vec::new()))
                     .1
-                    .push((60.0 * nth as f64, now));
+                    .push(Weight {
+                        secs: 60.0 * nth as f64,
+                        held: now,
+                        waiting: Ok(nth * messages),
+                    });
             }
             findings.rows.push(super::super::trial::Row {
                 fault: Fault::Kill(REPLACED[0]),
@@ -193,7 +208,7 @@ mod tests {
     #[test]
     fn what_grows_by_more_than_a_tenth_in_an_hour_is_seen_in_half_of_it() {
         let mib = |parts: &[Growth]| parts[0].memory()[1] - parts[0].memory()[0];
-        let [flat, slow, fast] = [80_000, 300_000, 1_000_000].map(|bytes| growth(&growing(bytes)).unwrap());
+        let [flat, slow, fast] = [80_000, 300_000, 1_000_000].map(|bytes| growth(&growing(bytes, 0)).unwrap());
         assert!(flat.iter().all(Growth::is_flat), "{flat:?}");
         assert!(mib(&slow) < 3.0 && !slow.iter().any(Growth::is_flat), "{slow:?}");
         assert!(mib(&fast) > 9.0 && !fast.iter().any(Growth::is_flat), "{fast:?}");
@@ -202,14 +217,25 @@ mod tests {
 
     #[test]
     fn what_flickers_does_not_grow() {
-        let mut findings = growing(0);
+        let mut findings = growing(0, 0);
         for (_, all) in findings.held.values_mut() {
-            for (nth, (_, held)) in all.iter_mut().enumerate() {
-                held.memory += (nth as u64 % 3) * 1024 * 1024;
+            for (nth, weight) in all.iter_mut().enumerate() {
+                weight.held.memory += (nth as u64 % 3) * 1024 * 1024;
+                weight.waiting = Ok(nth as u64 % 3);
             }
         }
         let flickers = growth(&findings).unwrap();
         assert!(flickers.iter().all(Growth::is_flat), "{flickers:?}");
+    }
+
+    #[test]
+    fn a_queue_that_grows_is_seen_and_one_that_nobody_tells_is_an_error() {
+        let mut findings = growing(0, 1);
+        assert!(!growth(&findings).unwrap().iter().any(Growth::is_flat));
+        for (_, all) in findings.held.values_mut() {
+            all[20].waiting = Err("no metrics".to_owned());
+        }
+        assert!(growth(&findings).unwrap_err().contains("no metrics"));
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! Trials. Missions of three robots while parts of a deployment are killed, frozen, cut off and replaced. No goal may be lost, nothing
-//! touched, and no robot may rest longer than a plan's horizon if another part can take over.
+//! touched, no robot may move without a valid horizon, nor rest longer than a plan's horizon if another part can take over.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -12,11 +12,13 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::task::block_in_place;
 use zenav_protocol::bus::{AskError, Bus};
-use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalsRequest, Refusal};
+use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalsRequest, LostPolicy, Refusal};
 use zenav_protocol::topics::{self, Ask};
 
 use super::Site;
+use super::queues::waiting;
 use super::truth::Truth;
+use crate::acceptance::faults::Watch;
 use crate::usage::{Held, held};
 
 /// Each robot with the y of its lane, m.
@@ -37,6 +39,11 @@ const OUTSTANDING: usize = 3;
 const LEAST_GOALS: f64 = 0.5;
 /// A robot that has rested for less than this is driving, s.
 const DRIVES: f64 = 0.5;
+/// Time between two looks at the robots' states, and without a state after which some were lost, wall time: a robot sends ten a second.
+const LOOKS: Duration = Duration::from_millis(100);
+const LOST: Duration = Duration::from_secs(1);
+/// Time for which hosts of the cloud are cut off, s: both mapping services lead by then.
+const APART: u32 = 15;
 
 /// A fault of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +54,10 @@ pub enum Fault {
     Pause(&'static str, u32),
     /// Its host is cut off until its robot rests, then reconnected.
     Cut(&'static str, &'static str),
+    /// Its host, one of the cloud, is cut off from the other one and from the robots for a number of seconds.
+    CutCloud(&'static str, u32),
+    /// The two routers are cut off from one another for a number of seconds.
+    Split(u32),
     /// Replaced by a new one.
     Update(&'static str),
 }
@@ -57,6 +68,14 @@ impl fmt::Display for Fault {
             Self::Kill(part) => write!(f, "{part} killed, for {} s", HORIZON + 1.0),
             Self::Pause(part, secs) => write!(f, "{part} frozen for {secs} s"),
             Self::Cut(part, robot) => write!(f, "{part} cut off until {robot} rests"),
+            Self::CutCloud(part, secs) => write!(
+                f,
+                "{part} and all parts on its host cut off for {secs} s; rest from then on"
+            ),
+            Self::Split(secs) => write!(
+                f,
+                "the routers cut off from one another for {secs} s; rest from then on"
+            ),
             Self::Update(part) => write!(f, "{part} replaced"),
         }
     }
@@ -67,12 +86,23 @@ impl fmt::Display for Fault {
 pub struct Row {
     /// The fault.
     pub fault: Fault,
-    /// Longest rest of a robot until all drove again, s of the world's time.
+    /// Longest rest of a robot until all drove again, s of the world's time; of a cut in the cloud, from its end.
     pub rest: f64,
     /// The robot with that rest.
     pub robot: String,
     /// Duration of the fault and the recovery, wall time, s.
     pub took: f64,
+}
+
+/// The resources of a part after a fault.
+#[derive(Clone, Debug)]
+pub struct Weight {
+    /// Wall time since the trial began, s.
+    pub secs: f64,
+    /// Resources of the process.
+    pub held: Held,
+    /// Messages and requests that wait to be read, if the part tells.
+    pub waiting: Result<u64, String>,
 }
 
 /// The results of a trial.
@@ -86,8 +116,8 @@ pub struct Findings {
     pub goals: usize,
     /// Number of ended goals by phase.
     pub ends: BTreeMap<String, usize>,
-    /// For each part its process id and, after each fault since its start, the wall time since the trial began, s, and its resources.
-    pub held: BTreeMap<String, (u32, Vec<(f64, Held)>)>,
+    /// For each part its process id, and its resources after each fault since its start.
+    pub held: BTreeMap<String, (u32, Vec<Weight>)>,
     /// Violated expectations.
     pub failures: Vec<String>,
 }
@@ -137,6 +167,8 @@ pub fn long(rounds: usize) -> Vec<Fault> {
         faults.extend(parts.map(Fault::Kill));
         faults.extend(parts.map(|part| Fault::Pause(part, 4)));
         faults.extend(robots.map(|(part, robot)| Fault::Cut(part, robot)));
+        faults.extend(["fleet-a-router", "fleet-b-router"].map(|part| Fault::CutCloud(part, APART)));
+        faults.push(Fault::Split(APART));
         faults.extend(parts.map(Fault::Update));
         faults.extend(robots.map(|(part, _)| Fault::Kill(part)));
         faults.extend(robots.map(|(part, _)| Fault::Update(part)));
@@ -171,6 +203,11 @@ pub async fn run(
         let (client, ending) = (Arc::clone(&client), Arc::clone(&ending));
         async move { client.feed(&ending, next).await }
     });
+    let mut watching = Vec::new();
+    for router in site.routers().split(',') {
+        let bus = super::join("watch", router, &site.identity()).await?;
+        watching.push(tokio::spawn(watch(bus, Arc::clone(&ending))));
+    }
     let happened = happen(site, faults, begun, &mut truth, &mut findings).await;
     ending.store(true, Ordering::Relaxed);
     // Robots without goals rest, so an error in submitting goals is reported first.
@@ -179,6 +216,11 @@ pub async fn run(
         return Err(format!("{error}; {}", client.under_way().await));
     }
     client.all_end(2 * LONG).await?;
+    for watching in watching {
+        findings
+            .failures
+            .extend(watching.await.map_err(|error| error.to_string())??);
+    }
     findings.count(&client).await?;
     findings.judge(&truth);
     Ok(findings)
@@ -217,6 +259,22 @@ async fn happen(
                 truth.until(&format!("{robot} rests when cut off"), LONG, rests).await?;
                 block_in_place(|| site.heal(part))?;
             }
+            Fault::CutCloud(part, secs) => {
+                block_in_place(|| site.cut(part))?;
+                truth.during(f64::from(secs)).await?;
+                let without = format!("all robots drive without the host of {part}");
+                truth.until(&without, LONG, drives).await?;
+                block_in_place(|| site.heal(part))?;
+                truth.reset();
+                truth.during(HORIZON).await?;
+            }
+            Fault::Split(secs) => {
+                block_in_place(|| site.split(true))?;
+                truth.during(f64::from(secs)).await?;
+                block_in_place(|| site.split(false))?;
+                truth.reset();
+                truth.during(HORIZON).await?;
+            }
             Fault::Update(part) => {
                 block_in_place(|| site.update(part))?;
                 truth.during(2.0).await?;
@@ -241,7 +299,7 @@ impl Fault {
         match self {
             Self::Cut(..) => None,
             Self::Kill(part) | Self::Pause(part, _) | Self::Update(part) if part.contains("-edge-") => None,
-            Self::Kill(_) | Self::Pause(..) | Self::Update(_) => Some(HORIZON),
+            Self::Kill(_) | Self::Pause(..) | Self::Update(_) | Self::CutCloud(..) | Self::Split(_) => Some(HORIZON),
         }
     }
 }
@@ -251,12 +309,16 @@ impl Findings {
     fn weigh(&mut self, site: &dyn Site, begun: Instant) {
         for part in site.parts() {
             let Ok(process) = site.process_id(&part) else { continue };
-            let Ok(now) = held(process) else { continue };
+            let Ok(held) = held(process) else { continue };
             let (known, all) = self.held.entry(part).or_insert((process, Vec::new()));
             if *known != process {
                 (*known, *all) = (process, Vec::new());
             }
-            all.push((begun.elapsed().as_secs_f64(), now));
+            all.push(Weight {
+                secs: begun.elapsed().as_secs_f64(),
+                held,
+                waiting: waiting(process),
+            });
         }
     }
 
@@ -303,6 +365,30 @@ impl Findings {
                 .map(|robot| format!("{robot} touched something")),
         );
     }
+}
+
+/// Watches the robots' states at one router until the end; returns the motion without a valid horizon. A router that is cut off from a robot, or
+/// replaced, passes on none of its states meanwhile.
+async fn watch(bus: Bus, ending: Arc<AtomicBool>) -> Result<Vec<String>, String> {
+    let mut watches = Vec::new();
+    for (robot, _) in LANES {
+        let watch = Watch::new(&bus, robot, LostPolicy::FinishHorizon).map_err(|error| error.to_string())?;
+        watches.push((robot, watch));
+    }
+    while !ending.load(Ordering::Relaxed) {
+        for (_, watch) in &mut watches {
+            if watch.heard.elapsed() > LOST {
+                watch.forget();
+            }
+            watch.listen();
+        }
+        tokio::time::sleep(LOOKS).await;
+    }
+    let mut found = Vec::new();
+    for (robot, watch) in watches {
+        found.extend(watch.invalid.into_iter().map(|what| format!("{robot}: {what}")));
+    }
+    Ok(found)
 }
 
 /// Submits the robots' goals, as a client of any router that is up.

@@ -7,7 +7,7 @@ use zenav_tests::deployment::{Deployment, ROBOT};
 use super::{LONG, ZENAV, drive, said};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn an_emptied_goal_store_is_refused_by_name_and_a_map_with_other_numbers_begins_anew() {
+async fn an_emptied_or_torn_goal_store_is_refused_by_name_and_a_torn_map_or_one_with_other_numbers_begins_anew() {
     let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
     let mut up = deployment.start_up();
     deployment.bus().await.close().await;
@@ -16,8 +16,17 @@ async fn an_emptied_goal_store_is_refused_by_name_and_a_map_with_other_numbers_b
     up.interrupt(LONG).unwrap();
     let files: PathBuf = deployment.folder().join("up").join(ROBOT);
 
+    let picture = files.join("map.pgm");
+    let whole = std::fs::read(&picture).unwrap_or_else(|error| panic!("{error}: {}", said(&saved)));
+    std::fs::write(&picture, &whole[..whole.len() / 2]).unwrap();
+    let mut up = deployment.start_up();
+    let line = up.until("mapping begins a new one", LONG);
+    assert!(line.contains("map.pgm") && line.contains("truncated"), "{line}");
+    up.interrupt(LONG).unwrap();
+    std::fs::write(&picture, whole).unwrap();
+
     let yaml = files.join("map.yaml");
-    let text = std::fs::read_to_string(&yaml).unwrap_or_else(|error| panic!("{error}: {}", said(&saved)));
+    let text = std::fs::read_to_string(&yaml).unwrap();
     let spoiled = text.replace("resolution: 0.025", "resolution: 0.5");
     assert_ne!(spoiled, text);
     std::fs::write(&yaml, spoiled).unwrap();
@@ -29,13 +38,11 @@ async fn an_emptied_goal_store_is_refused_by_name_and_a_map_with_other_numbers_b
     up.interrupt(LONG).unwrap();
 
     let store = files.join("mission.redb");
-    assert!(store.exists(), "{}", files.display());
-    std::fs::write(&store, b"").unwrap();
-    let refused = deployment.zenav(&["up", "deployment.toml"]);
-    assert_ne!(refused.status.code(), Some(0));
-    assert!(
-        said(&refused).contains("mission.redb: an empty file"),
-        "{}",
-        said(&refused)
-    );
+    let whole = std::fs::read(&store).unwrap();
+    for (left, why) in [(0, "mission.redb: an empty file"), (whole.len() / 2, "mission.redb")] {
+        std::fs::write(&store, &whole[..left]).unwrap();
+        let refused = deployment.zenav(&["up", "deployment.toml"]);
+        assert_ne!(refused.status.code(), Some(0));
+        assert!(said(&refused).contains(why), "{}", said(&refused));
+    }
 }

@@ -325,6 +325,8 @@ async fn every_error_is_json_with_a_reason_and_its_status() {
         (Method::GET, "/page/nothing.js", None, 404, "nothing.js"),
         (Method::GET, "/api/v1/robots/other", None, 404, "there is mute, tiago"),
         (Method::GET, "/api/v1/robots/a%2Fb", None, 404, "not a valid name"),
+        (Method::GET, "/api/v1/robots/ti$*", None, 404, "not a valid name"),
+        (Method::GET, "/api/v1/robots/ti%24o", None, 404, "not a valid name"),
         (Method::GET, "/api/v1/robots/%FF", None, 404, "UTF-8"),
         (Method::PUT, GOALS, None, 405, "other methods"),
         (Method::POST, GOALS, Some("{"), 400, "EOF"),

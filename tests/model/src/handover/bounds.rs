@@ -60,6 +60,22 @@ impl ContractModel for Handover {
             Rule::HeldUp,
             "a leader with standbys that was held up for over a second says nothing more",
         ),
+        (
+            Rule::StandbyShared,
+            "a standby stores with each entry that others may hold newer goals",
+        ),
+    ];
+    const PAIRS: &'static [([Rule; 2], &'static str, Bounds)] = &[
+        (
+            [Rule::Session, Rule::StoredOnce],
+            "an entry of an older session is refused, and so are writes under a number that is stored",
+            REJOINS,
+        ),
+        (
+            [Rule::Alone, Rule::StandbyShared],
+            "a grant makes the new leader the only one on the list, and a standby stores with each entry that others may hold newer goals",
+            TAKEOVER_WITHOUT_CRASH,
+        ),
     ];
 
     fn scenarios(size: Size) -> Vec<Bounds> {
@@ -76,8 +92,8 @@ impl ContractModel for Handover {
             Rule::StoredOnce => COPIES,
             Rule::OffListAnew => REJOINS,
             Rule::HeldUp => ENDS,
-            Rule::Listed | Rule::SharedOnDisk => CRASHES,
-            _ => Bounds { crashes: 0, ..TAKEOVER },
+            Rule::Listed | Rule::SharedOnDisk | Rule::StandbyShared => CRASHES,
+            _ => TAKEOVER_WITHOUT_CRASH,
         }
     }
 
@@ -96,7 +112,7 @@ impl ContractModel for Handover {
         ]
     }
 
-    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+    fn system(bounds: Bounds, without: &'static [Rule]) -> System {
         System::new(bounds, without)
     }
 }
@@ -114,6 +130,8 @@ const TAKEOVER: Bounds = Bounds {
     restarts: 0,
     operators: 0,
 };
+
+const TAKEOVER_WITHOUT_CRASH: Bounds = Bounds { crashes: 0, ..TAKEOVER };
 
 /// Further faults, each within its own bounds.
 const CRASHES: Bounds = Bounds { reports: 1, ..TAKEOVER };

@@ -7,7 +7,7 @@ use zenav_protocol::messages::{JournalEntry, JournalWrite};
 use zenav_protocol::time::Stamp;
 
 use super::state::Message;
-use super::{List, Rule, store};
+use super::{List, Rule, System, store};
 use crate::text::Text;
 
 /// Writes of a batch: a goal, and the mission that ended it; zero for an open goal.
@@ -215,7 +215,7 @@ impl Leading {
 
 impl Following {
     /// Processes a journal entry; answers with the newest position on disk, or refuses.
-    pub fn take(&mut self, disk: &mut Disk, message: &Message, without: Option<Rule>) -> Option<Option<u64>> {
+    pub fn take(&mut self, disk: &mut Disk, message: &Message, system: &System) -> Option<Option<u64>> {
         let Message::Entry {
             from,
             epoch,
@@ -234,10 +234,14 @@ impl Following {
         let entry = JournalEntry {
             leader: store(*from),
             epoch: *epoch,
-            session: session.to_string(),
+            session: if system.has(Rule::Session) {
+                session.to_string()
+            } else {
+                place.session.clone()
+            },
             position: *position,
             now: Stamp::ZERO,
-            writes: if without == Some(Rule::StoredOnce) && *position <= self.position {
+            writes: if !system.has(Rule::StoredOnce) && *position <= self.position {
                 Vec::new()
             } else {
                 writes.iter().map(record).collect()
@@ -253,7 +257,7 @@ impl Following {
                 disk.goals.extend(writes.iter().copied());
                 disk.record(Leadership {
                     epoch: *epoch,
-                    shared: true,
+                    shared: disk.shared || system.has(Rule::StandbyShared),
                 });
                 self.position = entry.position;
                 Some(Some(self.position))

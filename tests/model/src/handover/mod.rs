@@ -56,6 +56,12 @@ pub enum Rule {
     SharedOnDisk,
     /// A leader with standbys that was held up publishes nothing more.
     HeldUp,
+    /// A standby stores with each entry that others may have newer goals.
+    StandbyShared,
+    /// An entry of an older session is refused.
+    Session,
+    /// A grant makes the new leader the only one on the list.
+    Alone,
 }
 
 /// The robot's record of who leads and who has caught up, with missions as numbers.

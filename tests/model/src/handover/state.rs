@@ -246,8 +246,21 @@ impl State {
                     };
                     let _ = self.robot.request(now, &caught_up(leads));
                 }
+                let before = self.robot.leader().cloned().filter(|_| !system.has(Rule::Alone));
                 let answer = match self.robot.request(now, &acquire(*by, *echo)) {
-                    Ok(granted) => Ok(granted.epoch),
+                    Ok(granted) => {
+                        if let Some(leader) = before {
+                            let kept = leader.caught_up.into_iter().filter(|known| *known != store(*by));
+                            let leads = Leader {
+                                store: store(*by),
+                                epoch: granted.epoch,
+                                caught_up: std::iter::once(store(*by)).chain(kept).collect(),
+                                revision: 1,
+                            };
+                            let _ = self.robot.request(now, &caught_up(leads));
+                        }
+                        Ok(granted.epoch)
+                    }
                     Err(Refusal::Held { leader, .. }) => Err(Some(leader.as_ref().map(List::of))),
                     Err(_) => Err(None),
                 };
@@ -318,7 +331,7 @@ impl State {
                 let by = other(*from);
                 let mission = self.mission(by)?;
                 let position = match &mut mission.life {
-                    Life::Following(following) => following.take(&mut mission.disk, message, system.without)?,
+                    Life::Following(following) => following.take(&mut mission.disk, message, system)?,
                     Life::Leading(_) => None,
                     Life::Down => return Some(()),
                 };

@@ -57,17 +57,17 @@ pub enum Action {
     Tick,
 }
 
-/// The system, optionally without one rule.
+/// The system, optionally without some rules.
 #[derive(Debug)]
 pub struct System {
     pub(super) bounds: Bounds,
-    pub(super) without: Option<Rule>,
+    pub(super) without: &'static [Rule],
     pub(super) edge: EdgeState,
 }
 
 impl System {
     #[expect(clippy::expect_used, reason = "a constant text")]
-    pub(super) fn new(bounds: Bounds, without: Option<Rule>) -> Self {
+    pub(super) fn new(bounds: Bounds, without: &'static [Rule]) -> Self {
         let edge = serde_json::json!({
             "stamp": 0, "boot_id": "", "mode": "idle", "link": "Connected",
             "lease": {"holder": null, "role": null, "epoch": 0, "live": false},
@@ -83,7 +83,7 @@ impl System {
 
 impl System {
     pub(super) fn has(&self, rule: Rule) -> bool {
-        self.without != Some(rule)
+        !self.without.contains(&rule)
     }
 
     /// Whether a message may be processed now; a waiting mission processes it later.

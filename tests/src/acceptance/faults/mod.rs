@@ -11,7 +11,7 @@
 //! | `flood` | which messages make a flood? |
 //! | `rig` | how are the parts started, cut off, killed and frozen? |
 //! | `copies` | which of two mapping services leads, and has the other one taken over? |
-//! | `watch` | what does the robot do meanwhile, seen over an unimpaired link? |
+//! | `watch` | does the robot move without a valid horizon meanwhile? |
 //! | `run` | how does one row run? |
 //! | `result` | what was found, and which limits were missed? |
 //! | `table` | how are the results reported? |
@@ -29,6 +29,7 @@ pub use result::{Memory, Result, Slowdown, compare};
 pub use rows::{Row, all, select, short};
 pub use run::run;
 pub use table::{OwnNetwork, markdown};
+pub use watch::Watch;
 
 /// Environment variable that is set if a row runs in its own network.
 pub const OWN_NETWORK: &str = "ZENAV_OWN_NETWORK";

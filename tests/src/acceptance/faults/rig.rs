@@ -39,6 +39,8 @@ pub struct Rig {
     twin: Option<Process>,
 }
 
+/// Longest time for a part to end on request.
+const ENDING: Duration = Duration::from_secs(15);
 /// Library that fakes the wall clock of a program: Debian's package `libfaketime`.
 const FAKETIME: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1";
 /// The file with the error of the wall clock.
@@ -211,7 +213,7 @@ impl Rig {
                 let begin = ["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", &binary];
                 Process::start("sh", &[&begin, arguments].concat(), folder)
             }
-            Fault::Clock(of, _) if of == part => {
+            Fault::Clock(of, ..) if of == part => {
                 let file = format!("FAKETIME_TIMESTAMP_FILE={}", folder.join(CLOCK).display());
                 let begin = [
                     &format!("LD_PRELOAD={FAKETIME}"),
@@ -227,7 +229,7 @@ impl Rig {
         }
     }
 
-    /// Sets a part's wall clock ahead, s.
+    /// Sets a part's wall clock ahead, or back with a negative number, s.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -263,6 +265,17 @@ impl Rig {
         }
         let new = self.process(part);
         self.parts.push((part, new));
+    }
+
+    /// Ends a part as a service manager does, and starts another one in its place.
+    ///
+    /// # Errors
+    /// When it does not end.
+    pub fn restart(&mut self, part: PartKind) -> Result<(), String> {
+        let old = self.parts.iter_mut().find(|(known, _)| *known == part);
+        old.map_or(Ok(()), |(_, process)| process.terminate(ENDING))?;
+        self.replace(part);
+        Ok(())
     }
 
     /// A part's process.

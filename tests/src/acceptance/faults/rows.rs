@@ -76,12 +76,14 @@ pub enum Fault {
     Cut(u32),
     /// A part is killed, and restarted at once.
     Kill(PartKind),
+    /// A part is ended as by a service manager (`SIGTERM`), and restarted.
+    Restart(PartKind),
     /// A part is frozen.
     Freeze(PartKind, u32),
     /// A part's disk is full.
     Full(PartKind, u32),
-    /// A part's wall clock is an hour ahead.
-    Clock(PartKind, u32),
+    /// A part's wall clock is so many hours ahead.
+    Clock(PartKind, u32, i32),
     /// Recent messages are republished on every key at ten times their rate.
     Flood(u32),
     /// A second robot of the same name is on the bus.
@@ -218,6 +220,10 @@ pub fn all() -> Vec<Row> {
             rows.push(Row::fault(place, &what, Fault::Kill(part), 3));
         }
         for part in PARTS {
+            let what = format!("{} restarted", part.name());
+            rows.push(Row::fault(place, &what, Fault::Restart(part), 2));
+        }
+        for part in PARTS {
             let what = format!("{} frozen for 5 s", part.name());
             rows.push(Row::fault(place, &what, Fault::Freeze(part, 5), 2));
         }
@@ -231,9 +237,11 @@ pub fn all() -> Vec<Row> {
             let what = format!("disk of {} full for 5 s", part.name());
             rows.push(Row::fault(place, &what, Fault::Full(part, 5), 2));
         }
-        for part in PARTS {
-            let what = format!("wall clock of {} an hour ahead for 5 s", part.name());
-            rows.push(Row::fault(place, &what, Fault::Clock(part, 5), 2));
+        for (how, hours) in [("ahead", 1), ("behind", -1)] {
+            for part in PARTS {
+                let what = format!("wall clock of {} an hour {how} for 5 s", part.name());
+                rows.push(Row::fault(place, &what, Fault::Clock(part, 5, hours), 2));
+            }
         }
         rows.push(Row::fault(place, "flood for 5 s", Fault::Flood(5), 3));
         rows.push(Row::fault(place, "second robot of the name for 5 s", Fault::Twin(5), 2));
@@ -246,7 +254,8 @@ pub fn all() -> Vec<Row> {
         "started in each of 120 orders",
         every_order(),
     ));
-    let has_fault = |row: &&Row| row.line != Line::Good || row.fault != Fault::None;
+    let is_order = |row: &Row| row.orders.len() == 1 && row.orders != [PARTS];
+    let has_fault = |row: &&Row| row.line != Line::Good || row.fault != Fault::None || is_order(row);
     let braking: Vec<Row> = rows.iter().filter(has_fault).cloned().map(Row::braking).collect();
     rows.extend(braking);
     rows
@@ -348,6 +357,18 @@ mod tests {
         let is_whole = |order: &[PartKind; 5]| PARTS.iter().all(|part| order.contains(part));
         assert!(orders.iter().all(is_whole));
         assert_eq!(selected("each of 120 orders").len(), 1);
+    }
+
+    #[test]
+    fn clocks_restarts_and_orders_of_start_are_in_both_worlds_with_both_policies() {
+        for (what, parts) in [
+            ("an hour ahead", 5),
+            ("an hour behind", 5),
+            ("restarted", 5),
+            ("started backwards", 1),
+        ] {
+            assert_eq!(selected(what).len(), 4 * parts, "{what}");
+        }
     }
 
     #[test]

@@ -72,7 +72,7 @@ pub async fn run(binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<R
 async fn run_in(order: [PartKind; 5], binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<Result, String> {
     let rig = Rig::start(binary, row, order)?;
     let (client, robot) = rig.join().await?;
-    let watch = Watch::new(&robot, row.policy).map_err(|error| error.to_string())?;
+    let watch = Watch::new(&robot, ROBOT, row.policy).map_err(|error| error.to_string())?;
     let copies = row.has_copy.then(|| Copies::new(&client)).transpose();
     let copies = copies.map_err(|error| error.to_string())?;
     let mut running = Running {
@@ -241,6 +241,7 @@ impl Running<'_> {
                 let part = self.hit(client, part).await?;
                 self.rig.replace(part);
             }
+            Fault::Restart(part) => self.rig.restart(part)?,
             Fault::Freeze(part, secs) => {
                 let part = self.hit(client, part).await?;
                 let frozen = self.rig.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
@@ -254,8 +255,8 @@ impl Running<'_> {
                 self.pass_for(pause(secs)).await;
                 self.rig.set_room(part, true)?;
             }
-            Fault::Clock(_, secs) => {
-                self.rig.set_clock(3600).map_err(|error| error.to_string())?;
+            Fault::Clock(_, secs, hours) => {
+                self.rig.set_clock(3600 * hours).map_err(|error| error.to_string())?;
                 self.pass_for(pause(secs)).await;
                 self.rig.set_clock(0).map_err(|error| error.to_string())?;
             }

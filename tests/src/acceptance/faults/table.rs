@@ -14,6 +14,12 @@ const LIMITS: &str = "The limits: every mission succeeds, no goal is lost, nothi
                       long as without a fault, over 2 s at most twice as long. After the first mission no part grows by more than a tenth and \
                       2 MiB.";
 
+/// What the rows do not show, and where it is tested.
+const ELSEWHERE: &str = "Parts are linked over plain TCP, with the profile `open`: links with identities, over QUIC, are cut, and their parts killed, frozen \
+                         and replaced, by `acceptance compose` ([deployment](deployment.md#a-rolling-update)). A disk that turns read-only under goals \
+                         and maps, and a store or a map that is torn, changed or another robot's, have no rows, because a mission that finds one \
+                         rightly does not drive: [what happens when](faults.md#a-disk-is-full-or-read-only) names their tests.";
+
 /// Whether rows ran in their own networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OwnNetwork {
@@ -46,6 +52,7 @@ pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String 
          republishes recent messages on every key at ten times their rate. The policy is `finish_horizon` unless named. *Resume* is the time from \
          the end of the fault until the robot drives or turns again, 0 if it had not come to rest; *at rest* is the share of the missions' time in \
          which it did neither.\n\n\
+         {ELSEWHERE}\n\n\
          {LIMITS}\n\n\
          One row: `cargo build --release -p zenav-tests --bins && target/release/acceptance faults --only \"depot: loss 5 %\"`; a part of a name runs \
          all rows that contain it.\n\n\

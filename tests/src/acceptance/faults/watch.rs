@@ -1,4 +1,4 @@
-//! Watch. The robot's states and events over an unimpaired link, checked as they arrive.
+//! Watch. The robot's states and events, checked as they arrive.
 
 use std::time::Duration;
 
@@ -9,7 +9,6 @@ use zenav_protocol::messages::{EdgeState, Event, EventKind, LostPolicy, Mode};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use crate::deployment::ROBOT;
 use crate::observer::is_rest;
 
 /// Time for a robot to brake after its plan was withdrawn, s of its clock.
@@ -41,10 +40,10 @@ impl Watch {
     ///
     /// # Errors
     /// When the bus is closed.
-    pub fn new(robot: &Bus, policy: LostPolicy) -> Result<Self, BusError> {
+    pub fn new(bus: &Bus, robot: &str, policy: LostPolicy) -> Result<Self, BusError> {
         Ok(Self {
-            states: robot.subscribe(&topics::STATE, &[ROBOT], 4096)?,
-            events: robot.subscribe(&topics::EVENT, &[ROBOT], 4096)?,
+            states: bus.subscribe(&topics::STATE, &[robot], 4096)?,
+            events: bus.subscribe(&topics::EVENT, &[robot], 4096)?,
             policy,
             last: None,
             planned: Stamp::ZERO,
@@ -65,6 +64,11 @@ impl Watch {
             self.heard = Instant::now();
             self.check(state.message);
         }
+    }
+
+    /// Begins anew, because states were lost: what was in force meanwhile is not known.
+    pub fn forget(&mut self) {
+        self.boot.clear();
     }
 
     fn check(&mut self, state: EdgeState) {

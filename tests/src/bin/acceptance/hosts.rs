@@ -34,13 +34,23 @@ pub fn soak(minutes: f64, speed: f64, seed: u64) -> Verdict {
         findings.rows.len(),
         minutes * speed
     );
-    println!("| part | memory, MiB | MiB an hour | handles | threads | cores |\n|---|---|---|---|---|---|");
+    println!(
+        "| part | memory, MiB | MiB an hour | handles | threads | waiting | cores |\n|---|---|---|---|---|---|---|"
+    );
     for part in &growth {
         let [then, now] = part.memory();
-        let [before, after] = part.held;
+        let ([before, after], waiting) = (part.held, part.waiting);
         println!(
-            "| {} | {then:.1}, {now:.1} | {:+.1} | {}, {} | {}, {} | {:.3} |",
-            part.part, part.hourly, before.handles, after.handles, before.threads, after.threads, part.cores
+            "| {} | {then:.1}, {now:.1} | {:+.1} | {}, {} | {}, {} | {}, {} | {:.3} |",
+            part.part,
+            part.hourly,
+            before.handles,
+            after.handles,
+            before.threads,
+            after.threads,
+            waiting[0],
+            waiting[1],
+            part.cores
         );
     }
     let grown = growth.iter().filter(|part| !part.is_flat());
