@@ -5,8 +5,8 @@ use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
     Annotations, BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest,
     LeaseReply, LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, MapFrame, MapInfo, MapPatch, MapReply,
-    MapRequest, MissionStatus, MotionReply, MotionRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest,
-    Yield,
+    MapRequest, MappingLeader, MissionStatus, MotionReply, MotionRequest, Plan, PoseEstimate, Refusal, RemoteReply,
+    RemoteRequest, Yield,
 };
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -35,6 +35,8 @@ pub struct Inputs {
     pub map_info: Option<MapInfo>,
     /// Map patches, in order.
     pub map_patches: Vec<MapPatch>,
+    /// The newest beat of the mapping service that leads, if new.
+    pub mapping_leader: Option<MappingLeader>,
     /// Whether mapping is silent: nothing that it publishes has come for so long that its beats should have.
     pub is_mapping_silent: bool,
     /// Whether the robot's pose can be trusted, if new.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::Point2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy};
-use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
+use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest, MappingLeader};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
@@ -27,6 +27,8 @@ const PATIENCE: f64 = 0.5;
 pub struct RobotMap {
     info: Option<MapInfo>,
     replica: MapReplica,
+    /// The map that the leading mapping service writes, by its last beat.
+    led: MapRef,
     /// Whether nothing that mapping publishes comes.
     is_silent: bool,
     /// Time since which the replica has been behind.
@@ -93,12 +95,19 @@ impl RobotMap {
         // Nothing tells that there is a map, or a newer one. Between two routers Zenoh 1.10 can lose subscriptions for good if one is replaced
         // while the other is busy (eclipse-zenoh/zenoh, issue 1886).
         let is_unheard = self.is_silent && self.mapper_gone.is_none();
-        let behind = gap || is_old || is_unheard;
+        // A leader without a map names none. Two leaders may beat at once: whose map this is, the description tells.
+        let is_own = self.replica.has_map() && self.replica.map().id != self.led.id;
+        let is_untold = self.led.revision > 0 && !is_own && !self.replica.holds(&self.led);
+        let behind = gap || is_old || is_unheard || is_untold;
         self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
     }
 
-    /// Observes whether mapping is silent: nothing that it publishes has come for so long that its beats should have.
-    pub fn observe_silence(&mut self, is_silent: bool) {
+    /// Observes the leading mapping service's beat, if one came, and whether mapping is silent: nothing that it publishes has come for so long
+    /// that its beats should have.
+    pub fn observe_leader(&mut self, beat: Option<MappingLeader>, is_silent: bool) {
+        if let Some(beat) = beat {
+            self.led = beat.map;
+        }
         self.is_silent = is_silent;
     }
 
@@ -415,7 +424,7 @@ mod tests {
         while mapper.take_patch().is_some() {}
         for is_silent in [false, true] {
             let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
-            map.observe_silence(is_silent);
+            map.observe_leader(None, is_silent);
             let told = (!is_silent).then(|| mapper.info());
             map.observe(Stamp::from_secs(1.0), told, &[]);
             map.step(Stamp::from_secs(1.0), &mut asks);
@@ -436,9 +445,38 @@ mod tests {
     }
 
     #[test]
+    fn a_map_that_only_the_leader_s_beats_name_is_requested() {
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
+        mapper.insert(&scan(1, 0.0));
+        while mapper.take_patch().is_some() {}
+        let beat = |map: &MapRef| MappingLeader {
+            map: map.clone(),
+            ..MappingLeader::default()
+        };
+        let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
+        for (secs, is_due) in [(1.0, false), (2.0, true)] {
+            map.observe_leader(Some(beat(mapper.map())), false);
+            map.observe(Stamp::from_secs(secs), None, &[]);
+            map.step(Stamp::from_secs(secs), &mut asks);
+            let asked = asks.take_new().pop();
+            assert_eq!(asked.is_some(), is_due, "{secs} s");
+            if let Some((ticket, _)) = asked {
+                asks.answer(ticket, Ok(Answer::Map(Box::new(mapper.reply()))));
+            }
+        }
+        for secs in [2.1, 9.0] {
+            map.observe_leader(Some(beat(&MapRef::new("of another leader", 7))), false);
+            map.step(Stamp::from_secs(secs), &mut asks);
+            map.observe(Stamp::from_secs(secs), None, &[]);
+        }
+        assert_eq!(map.newest().as_ref(), Some(mapper.map()));
+        assert!(asks.take_new().is_empty(), "it has the map");
+    }
+
+    #[test]
     fn mapping_that_is_gone_is_not_asked_for_its_silence() {
         let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
-        map.observe_silence(true);
+        map.observe_leader(None, true);
         map.observe_mapper(Stamp::from_secs(0.5), false);
         for secs in [1.0, 3.0] {
             map.observe(Stamp::from_secs(secs), None, &[]);

@@ -150,7 +150,7 @@ impl Mission {
         if let Some(alive) = inputs.mapper_alive {
             ctx.map.observe_mapper(now, alive);
         }
-        ctx.map.observe_silence(inputs.is_mapping_silent);
+        ctx.map.observe_leader(inputs.mapping_leader, inputs.is_mapping_silent);
         ctx.map.observe(now, inputs.map_info, &inputs.map_patches);
         for (ticket, answer) in inputs.answers {
             ctx.asks.answer(ticket, answer);

@@ -303,8 +303,8 @@ impl Shell {
                 })
                 .take(MAX_WAITING),
         );
-        let beat = self.mapping_beats.take();
-        if beat.is_some() || inputs.map_info.is_some() || !inputs.map_patches.is_empty() {
+        inputs.mapping_leader = self.mapping_beats.take();
+        if inputs.mapping_leader.is_some() || inputs.map_info.is_some() || !inputs.map_patches.is_empty() {
             self.mapping_heard = Some(Instant::now());
         }
         inputs.is_mapping_silent = self.mapping_heard.is_none_or(|heard| heard.elapsed() >= MAPPING_SILENT);

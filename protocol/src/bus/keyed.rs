@@ -134,7 +134,7 @@ impl Bus {
         let cache = self.declared(self.session.declare_queryable(all).callback(answer).wait())?;
         let token = self.declared(self.session.liveliness().declare_token(token_key).wait())?;
         let heartbeat = tokio::spawn({
-            let (kept, session) = (Arc::clone(&kept), self.session.clone());
+            let (kept, session) = (Arc::clone(&kept), (*self.session).clone());
             async move {
                 loop {
                     tokio::time::sleep(HEARTBEAT).await;
@@ -148,7 +148,7 @@ impl Bus {
             }
         });
         Ok(Outlet {
-            session: self.session.clone(),
+            session: (*self.session).clone(),
             topic,
             kept,
             failures: Complaints::default(),

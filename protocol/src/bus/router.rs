@@ -55,7 +55,7 @@ impl Default for RouterConfig {
 /// A running router with a readable admin space. It stops on [`Router::close`], or when dropped.
 #[derive(Debug)]
 pub struct Router {
-    session: Session,
+    session: Arc<Session>,
     readiness: Readiness,
     rights: Option<Arc<Rights>>,
     pace: Arc<Pace>,
@@ -92,7 +92,7 @@ impl Router {
         // Links to other routers come and go: the router works for its own components without them.
         readiness.started();
         let router = Self {
-            session,
+            session: Arc::new(session),
             readiness,
             rights: Rights::of(security),
             pace: Arc::default(),
@@ -112,7 +112,7 @@ impl Router {
     #[must_use]
     pub fn bus(&self, name: &str) -> Bus {
         Bus {
-            session: self.session.clone(),
+            session: Arc::clone(&self.session),
             name: name.into(),
             readiness: self.readiness.clone(),
             rights: self.rights.clone(),

@@ -178,7 +178,7 @@ pub enum BusError {
 /// A component's session. Clones share it; it closes with [`Bus::close`] or with its last clone.
 #[derive(Clone, Debug)]
 pub struct Bus {
-    pub(super) session: Session,
+    pub(super) session: Arc<Session>,
     pub(super) name: Arc<str>,
     pub(super) readiness: Readiness,
     /// Rights of this process; `None` if its links are not controlled.
@@ -251,7 +251,7 @@ impl Bus {
                         link::watch_routers(&session, mode, &readiness, linked);
                     }
                     return Ok(Self {
-                        session,
+                        session: Arc::new(session),
                         rights: Rights::of(&config.security),
                         pace: Arc::default(),
                         name: config.name.into(),

@@ -4,14 +4,15 @@
 //! topic's size, and one that comes far faster than its rate, is dropped at once and counted.
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use serde::de::DeserializeOwned;
+use tokio::runtime::Handle;
 use zenav_observability::trace::Context;
-use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 use zenoh::sample::{Sample, SampleKind};
+use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
 
 use super::flow::Arrivals;
@@ -24,6 +25,9 @@ use crate::topics::{Decode, Qos, Topic, Untyped};
 
 /// Time limit for fetching a publisher's past samples; newer samples wait meanwhile.
 pub(super) const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Time for which the key of an ended subscription stays declared: longer than routers take to agree on their net anew.
+const LINGER: Duration = Duration::from_secs(5);
 
 /// A value, and the named chunks of the key it came on.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,7 +54,35 @@ type AllSamples = Queue<Sample>;
 struct Intake {
     unreadable: Arc<Complaints>,
     flow: Arrivals,
+    // Before the subscription ends.
+    _lingering: Lingering,
     _carrier: Carrier,
+}
+
+/// The key of a subscription, which stays declared for [`LINGER`] after its end, without a reader.
+///
+/// A part that gives up leading ends its subscriptions, and begins the same ones again. Between Zenoh's routers the end may then arrive after
+/// the beginning: while routers are replaced, the two take different ways. The key would count as unwanted for good, and nobody would say so.
+struct Lingering {
+    session: Weak<Session>,
+    key: KeyExpr<'static>,
+}
+
+impl Drop for Lingering {
+    fn drop(&mut self) {
+        let (Ok(runtime), Some(session)) = (Handle::try_current(), self.session.upgrade()) else {
+            return;
+        };
+        if session.is_closed() {
+            return;
+        }
+        if let Ok(unread) = session.declare_subscriber(&self.key).callback(drop).wait() {
+            runtime.spawn(async move {
+                tokio::time::sleep(LINGER).await;
+                drop(unread);
+            });
+        }
+    }
 }
 
 /// Decodes samples, and counts those that cannot be decoded.
@@ -198,7 +230,11 @@ impl Bus {
                 }
             }
         };
-        let plain = self.session.declare_subscriber(key).callback(callback);
+        let plain = self.session.declare_subscriber(key.clone()).callback(callback);
+        let lingering = Lingering {
+            session: Arc::downgrade(&self.session),
+            key,
+        };
         let carrier = match topic.qos {
             Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
             Qos::Events { .. } | Qos::State => {
@@ -217,6 +253,7 @@ impl Bus {
             unreadable,
             flow,
             _carrier: carrier,
+            _lingering: lingering,
         })
     }
 }
