@@ -191,7 +191,7 @@ commands! {
         Cloud(launch::CloudArgs) => cloud;
         /// Draw a world, serve one to robots on several machines, measure the simulator
         Sim(batch::SimArgs) => sim;
-        /// Proxy TCP connections over a bad link: delay, jitter, rate, stalls, cuts
+        /// Proxy TCP or UDP over a bad link: delay, jitter, rate, loss, stalls, cuts
         Netem(netem::NetemArgs) => run;
     }
     "Record" {
