@@ -18,6 +18,9 @@ pub enum Size {
     Large,
 }
 
+/// Two rules that cover for one another: both, in words, and bounds in which the contract breaks without both, but not without either.
+pub type Pair<R, B> = ([R; 2], &'static str, B);
+
 /// A part of the contract: its rules, and its model with and without some of them.
 pub trait ContractModel {
     /// The rules of the part.
@@ -33,8 +36,8 @@ pub trait ContractModel {
     const NAME: &'static str;
     /// Every rule, in words.
     const RULES: &'static [(Self::Rule, &'static str)];
-    /// Rules that cover for one another: both, in words, and bounds in which the contract breaks without both, but not without either.
-    const PAIRS: &'static [([Self::Rule; 2], &'static str, Self::Bounds)] = &[];
+    /// Rules that cover for one another.
+    const PAIRS: &'static [Pair<Self::Rule, Self::Bounds>] = &[];
 
     /// The bounds that are searched.
     fn scenarios(size: Size) -> Vec<Self::Bounds>;

@@ -1,7 +1,7 @@
 //! Bounds. The bounds of each search, and the bounds in which the contract breaks without a rule.
 
 use super::{Rule, System};
-use crate::check::{ContractModel, Size};
+use crate::check::{ContractModel, Pair, Size};
 
 /// Bounds on the number of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -65,7 +65,7 @@ impl ContractModel for Handover {
             "a standby stores with each entry that others may hold newer goals",
         ),
     ];
-    const PAIRS: &'static [([Rule; 2], &'static str, Bounds)] = &[
+    const PAIRS: &'static [Pair<Rule, Bounds>] = &[
         (
             [Rule::Session, Rule::StoredOnce],
             "an entry of an older session is refused, and so are writes under a number that is stored",
