@@ -32,8 +32,8 @@ use crate::tasks::boxed;
 /// Time limit for all parts to end.
 const DRAIN: Duration = Duration::from_secs(8);
 
-/// Missions that share a session. Zenoh compares the key of each message, sent or received, with all subscriptions of its session, so a session
-/// of a hundred missions spends most of its time there; each further session costs a link, and some memory.
+/// Missions that share a session. Zenoh compares the key of each message, sent or received, with all subscriptions of its session, and a
+/// session of a hundred missions spent about a third of its time there; each further session costs a link, and some memory.
 const MISSIONS_A_SESSION: usize = 8;
 
 /// Pause before a failed mission is restarted: initial and largest.

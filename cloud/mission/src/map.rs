@@ -92,8 +92,8 @@ impl RobotMap {
             self.info = info;
         }
         let is_old = self.info.as_ref().is_some_and(|info| !self.replica.holds(&info.map));
-        // Nothing tells that there is a map, or a newer one. Between two routers Zenoh 1.10 can lose subscriptions for good if one is replaced
-        // while the other is busy (eclipse-zenoh/zenoh, issue 1886).
+        // Nothing tells that there is a map, or a newer one. Between two routers Zenoh 1.10 can lose subscriptions for good while one is
+        // replaced (docs/faults.md).
         let is_unheard = self.is_silent && self.mapper_gone.is_none();
         // A leader without a map names none. Two leaders may beat at once: whose map this is, the description tells.
         let is_own = self.replica.has_map() && self.replica.map().id != self.led.id;
