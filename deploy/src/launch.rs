@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use tokio::task::JoinHandle;
-use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, interrupted, service_manager, threads};
+use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, SETTLING, interrupted, service_manager, threads};
 use zenav_protocol::member::Role;
 use zenav_sim::World;
 
@@ -531,6 +531,8 @@ pub fn router(args: &RouterArgs) -> Outcome {
     config.security.check_role("`zenav router`", &[Role::Router])?;
     let ended = tasks::block_on(&runtime()?, async {
         args.health.serve(&config.security).await?;
+        // It may just have been restarted.
+        tokio::time::sleep(SETTLING).await;
         let router = open_router(&config, args.outside.rest.as_deref().unwrap_or_default()).await?;
         service_manager::ready();
         let outdated = async {

@@ -9,7 +9,7 @@ use tokio::sync::Notify;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::Layer;
-use tracing_subscriber::filter::Directive;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::Context;
 
 /// Where Zenoh's routing between routers logs.
@@ -25,21 +25,17 @@ pub async fn dropped() {
     NOTED.notified().await;
 }
 
-/// What a filter of log lines must let through for [`NoteDropped`].
-pub(crate) fn directive() -> Option<Directive> {
-    format!("{TARGET}=error").parse().ok()
+/// What [`NoteDropped`] has to see.
+pub(crate) fn filter() -> Targets {
+    Targets::new().with_target(TARGET, Level::ERROR)
 }
 
-/// Notes dropped declarations.
+/// Notes dropped declarations, of the events that [`filter`] lets through.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NoteDropped;
 
 impl<S: Subscriber> Layer<S> for NoteDropped {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        let metadata = event.metadata();
-        if *metadata.level() != Level::ERROR || !metadata.target().starts_with(TARGET) {
-            return;
-        }
         let mut is_drop = IsDrop(false);
         event.record(&mut is_drop);
         if is_drop.0 {

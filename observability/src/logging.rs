@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
-use tracing_subscriber::{EnvFilter, fmt, registry};
+use tracing_subscriber::{EnvFilter, Layer as _, fmt, registry};
 
 use crate::declarations::{self, NoteDropped};
 use crate::recent::KeepRecent;
@@ -50,26 +50,26 @@ pub fn format() -> Format {
     FORMAT.get().copied().unwrap_or_default()
 }
 
-/// Starts logging, filtered by `RUST_LOG`, or by `filter` if that is unset; Zenoh's errors in routing between routers are always logged
-/// ([`declarations`]). A second call (tests in one process) has no effect.
+/// Starts logging, filtered by `RUST_LOG`, or by `filter` if that is unset. From now on dropped declarations are noted ([`declarations`]),
+/// whatever is logged. A second call (tests in one process) has no effect.
 pub fn init<W>(format: Format, filter: &str, writer: W)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
     let format = *FORMAT.get_or_init(|| format);
-    let mut filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
-    if let Some(directive) = declarations::directive() {
-        filter = filter.add_directive(directive);
-    }
-    let all = registry().with(filter).with(NoteDropped).with(KeepRecent);
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
+    let all = registry().with(NoteDropped.with_filter(declarations::filter()));
     // A closed stderr must not be reported on stderr: that would end the process.
     let lines = fmt::layer().with_writer(writer).log_internal_errors(false);
     let _ = match format {
-        Format::Text => all.with(lines.with_ansi(colors()).with_target(false)).try_init(),
+        Format::Text => {
+            let lines = lines.with_ansi(colors()).with_target(false);
+            all.with(KeepRecent.and_then(lines).with_filter(filter)).try_init()
+        }
         Format::Json => {
             let lines = lines.json().flatten_event(true);
-            all.with(lines.with_current_span(false).with_span_list(false))
-                .try_init()
+            let lines = lines.with_current_span(false).with_span_list(false);
+            all.with(KeepRecent.and_then(lines).with_filter(filter)).try_init()
         }
     };
 }

@@ -30,6 +30,8 @@ const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 
 /// A robot that has not adopted the frame in force is sent it again after this time, s.
 const TOLD_AGAIN: f64 = 0.3;
+/// Way by odometry since the last match, m, after which the scans determine nothing.
+const UNMATCHED: f64 = 0.5;
 /// The session is stored after this many new nodes. A robot that was restarted meanwhile is searched for within the distance of as many
 /// nodes.
 const KEPT_AFTER: u32 = 20;
@@ -64,6 +66,8 @@ pub(super) struct SlamPoses {
     last: Option<Scan>,
     /// Whether that scan contradicts the map.
     contradicts: bool,
+    /// Odometry at the last scan that matched the map; `None` before the first one of a boot.
+    matched_at: Option<Pose2>,
     /// How many nodes the robot may have driven after the last store, before the previous process ended.
     unseen: u32,
     pace: Pace,
@@ -128,6 +132,7 @@ impl SlamPoses {
             base: None,
             last: None,
             contradicts: false,
+            matched_at: None,
             unseen: 0,
             pace: Pace::default(),
             on_disk: OnDisk::default(),
@@ -337,6 +342,7 @@ impl SlamPoses {
                 (self.is_astray, self.is_uprooted) = (true, true);
             }
             boot_id.clone_into(&mut self.boot_id);
+            self.matched_at = None;
         }
         self.unseen = 0;
         let effects = match slam.step(scan) {
@@ -383,7 +389,10 @@ impl SlamPoses {
         self.note_new_parts();
         let pose = self.new_from_drawn.inverse() * effects.pose;
         self.map_from_odom = pose * scan.odom_from_base.inverse();
-        self.judge(effects);
+        if effects.score.is_some() || self.matched_at.is_none() {
+            self.matched_at = Some(scan.odom_from_base);
+        }
+        self.judge(scan, effects);
     }
 
     /// Searches the whole map for the robot, and continues at the pose found if that is another place.
@@ -476,8 +485,9 @@ impl SlamPoses {
         self.held.as_ref().map_or(&self.health, |held| held.health())
     }
 
-    /// Derives the health from a scan. A scan that sees little changes nothing: odometry alone counts then, as along a corridor.
-    fn judge(&mut self, effects: &Effects) {
+    /// Derives the health from a scan. While scans see little, odometry alone counts, and after a while the position is open in all
+    /// directions, first of all along the robot's way.
+    fn judge(&mut self, scan: &Scan, effects: &Effects) {
         let is_lost = self.slam.as_ref().is_some_and(Slam::is_lost);
         self.is_astray |= is_lost;
         self.is_uprooted &= !effects.fits;
@@ -488,8 +498,17 @@ impl SlamPoses {
             Some(direction) => Health::Degraded {
                 direction: direction - self.new_from_drawn.yaw,
             },
+            None if self.is_unmatched(scan) => Health::Degraded {
+                direction: (self.map_from_odom * scan.odom_from_base).yaw,
+            },
             None => Health::Tracking,
         };
+    }
+
+    /// Whether odometry alone has led here for a while.
+    fn is_unmatched(&self, scan: &Scan) -> bool {
+        let at = self.matched_at.as_ref();
+        at.is_some_and(|at| at.distance(&scan.odom_from_base) > UNMATCHED)
     }
 
     /// The health report, if it changed or is due.

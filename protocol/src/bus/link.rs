@@ -12,11 +12,11 @@ use zenoh::sample::SampleKind;
 use zenoh::session::TransportEvent;
 use zenoh::{Session, Wait};
 
-/// How long Zenoh's routers may take to notice an arrival or a departure: they look at most every 0.1 s.
+/// How long Zenoh's routers may take to notice an arrival or a departure: they look at most every 0.1 s, and later on a busy machine.
 ///
 /// An arrival within that time after a departure is mistaken for the departed router, and receives no declarations: it reads no key and
-/// answers no request until another link changes.
-pub(super) const SETTLING: Duration = Duration::from_millis(150);
+/// answers no request until another link changes. So a router that was restarted waits for as long.
+pub const SETTLING: Duration = Duration::from_millis(300);
 
 /// Peers linked to a session.
 #[derive(Default)]

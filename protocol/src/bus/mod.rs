@@ -97,6 +97,7 @@ pub use ask::{Answer, AskError};
 pub use clock::{Clock, ClockHandle, Interval};
 pub use identity::{Identity, IdentityError, MEMBERS};
 pub use keyed::KeyedPublisher;
+pub use link::SETTLING;
 pub use publish::Publisher;
 pub use raw::{RawReply, RawSample, RawSubscription};
 pub use rights::{Act, Denied};

@@ -8,6 +8,8 @@ use tokio::time::timeout;
 
 /// Longest time to wait for an answer: the longest round trip that a mission is promised, and some jitter.
 const LATEST: Duration = Duration::from_millis(5500);
+/// Pause between two packets to an endpoint that does not answer: some may be lost.
+const AGAIN: Duration = Duration::from_secs(1);
 /// Size of the first packet of a QUIC connection, bytes (RFC 9000, section 14.1); a server ignores a smaller one.
 const FIRST_PACKET: usize = 1200;
 /// A version of QUIC that no server speaks (RFC 9000, section 15), so that it answers with those that it does, and keeps no state.
@@ -77,10 +79,16 @@ async fn speaks_quic(address: &str) -> std::io::Result<()> {
         first.extend(id);
     }
     first.resize(FIRST_PACKET, 0);
-    socket.send(&first).await?;
     let mut answer = [0; FIRST_PACKET];
+    let mut again = tokio::time::interval(AGAIN);
     loop {
-        let bytes = socket.recv(&mut answer).await?;
+        let bytes = tokio::select! {
+            _ = again.tick() => {
+                socket.send(&first).await?;
+                continue;
+            }
+            bytes = socket.recv(&mut answer) => bytes?,
+        };
         let is_long_header = answer[0] & 0x80 != 0;
         let names_client = answer.get(5..14).is_some_and(|id| id[0] == 8 && id[1..] == ID);
         if bytes >= 14 && is_long_header && answer[1..5] == [0; 4] && names_client {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use zenav_observability::{Readiness, declarations};
-use zenoh::Session;
 use zenoh::config::WhatAmI;
+use zenoh::{Session, Wait};
 
 use super::limiter::Pace;
 use super::link;
@@ -21,6 +21,8 @@ use super::threads;
 const LOOK: Duration = Duration::from_millis(500);
 /// Time of a suspension after which others have given up on the router: their links have ended, and so has the shortest handshake after that.
 const GIVEN_UP: Duration = Duration::from_millis(LEASE_MS + ROUTER_HANDSHAKE_MS);
+/// Keys of asks to parts of robots, in any namespace.
+const ASKS: &str = "**/zenav/*/ask/**";
 /// A process that has started anew does not do so again for this time. On a machine without processor time to spare each start costs more
 /// than it mends.
 const ONCE_IN: Duration = Duration::from_secs(30);
@@ -88,6 +90,7 @@ impl Router {
             reason: in_words(&error),
         })?;
         link::count(&session);
+        pass_on_asks(&session);
         let readiness = Readiness::new(&config.name);
         // Links to other routers come and go: the router works for its own components without them.
         readiness.started();
@@ -153,6 +156,17 @@ impl Router {
             Err(_) => tracing::warn!("closing the router takes long"),
             Ok(Ok(())) => {}
         }
+    }
+}
+
+/// Has the other routers send this one every ask to a robot's part, also those whose servers they do not know of.
+///
+/// Routers tell each other which keys their parts answer. Where two routers have a server of the same key each, and one of them ends, Zenoh 1.10.2
+/// forgets to tell routers that come later of the other (`unregister_queryable` in its `hat/router/queries.rs`): parts of these routers could
+/// not reach it. This router's own queryable does not answer, and is never withdrawn while its links last.
+fn pass_on_asks(session: &Session) {
+    if let Err(error) = session.declare_queryable(ASKS).callback(drop).background().wait() {
+        tracing::warn!(%error, "asks from parts of other routers may not arrive");
     }
 }
 

@@ -218,7 +218,7 @@ impl Bus {
         let linked = (!config.connect.is_empty()).then(|| readiness.expects_silently("a router is linked"));
         let mut wait_ms = MIN_RETRY_MS;
         let limits = config.handshakes(mode);
-        let mut limit = 0;
+        let (mut limit, mut was_doubted) = (0, false);
         loop {
             let handshake = limits.get(limit).copied().unwrap_or(SLOW_MS);
             // A client that links at once needs no probe.
@@ -245,6 +245,11 @@ impl Bus {
                         limit_ms = limits[limit],
                         "the link is slow: a handshake may take longer"
                     );
+                }
+                // Not the link was slow, but this machine or the router's, for a moment.
+                Ok(session) if limit > 0 && !was_doubted && is_linked_since(began, &session, limits[0]).await => {
+                    let _ = tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await;
+                    (limit, was_doubted) = (0, true);
                 }
                 Ok(session) => {
                     if let Some(linked) = linked.filter(|_| is_part) {
@@ -425,6 +430,15 @@ async fn is_linked(session: &Session, limit: Duration) -> bool {
         sleep(Duration::from_millis(10)).await;
     }
     true
+}
+
+/// Whether a session that was begun then links to a router within this time, ms.
+async fn is_linked_since(began: Instant, session: &Session, limit_ms: u64) -> bool {
+    let left = Duration::from_millis(limit_ms).checked_sub(began.elapsed());
+    match left {
+        Some(left) => is_linked(session, left).await,
+        None => false,
+    }
 }
 
 /// Endpoints of a session that listens.

@@ -70,7 +70,7 @@ pub enum Health {
     /// The scans agree with the map.
     #[default]
     Tracking,
-    /// The scans agree with the map, but leave the pose undetermined along one direction, as in a corridor.
+    /// The scans do not contradict the map, but leave the pose undetermined along one direction, as in a corridor, or see too little.
     Degraded {
         /// That direction in the map, rad.
         direction: f64,

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, RawReply, Router, RouterConfig};
-use zenav_protocol::messages::StopReply;
+use zenav_protocol::messages::{StopReply, StopRequest};
 use zenav_protocol::topics;
 
 use super::rig::{Cable, PATIENCE, client, clock, event, robot, router, router_at, serve_stop, stop, until, within};
@@ -314,4 +314,33 @@ async fn closing_ends_what_waits() {
     assert_eq!(bus.publisher(&topics::SIM_CLOCK, &[]).unwrap_err(), BusError::Closed);
     publisher.put(&clock(1));
     assert_eq!(publisher.failures(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_router_that_comes_after_one_of_two_servers_ended_is_told_of_the_other() {
+    let (_first, first) = router().await;
+    let linked = |to: &str| RouterConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        connect: vec![to.to_owned()],
+        ..RouterConfig::default()
+    };
+    let other = Router::open(&linked(&first)).await.unwrap();
+    let second = other.endpoints().await.remove(0);
+    let (stays, goes) = (client(&first, "a").await, client(&second, "b").await);
+    let (serving, ending) = (serve_stop(&stays, "r1"), serve_stop(&goes, "r1"));
+    let asker = client(&first, "asker").await;
+    let servers = async || {
+        let request = StopRequest::default();
+        let all = asker.ask_all(&topics::STOP, &["r1"], &request, PATIENCE / 20);
+        all.await.unwrap().len()
+    };
+    until("two answers", async || (servers().await == 2).then_some(())).await;
+    ending.abort();
+    goes.close().await;
+    until("one answer", async || (servers().await == 1).then_some(())).await;
+
+    let third = Router::open(&linked(&first)).await.unwrap();
+    let late = client(&third.endpoints().await.remove(0), "late").await;
+    assert_eq!(stop(&late, "r1", PATIENCE / 4).await, Ok(StopReply { stopped: true }));
+    serving.abort();
 }

@@ -176,11 +176,25 @@ pub fn long(rounds: usize) -> Vec<Fault> {
     faults
 }
 
-/// Runs the missions, and the faults one after the other.
+/// Runs the missions, and the faults one after the other. Unless all expectations are met, the parts' logs are printed.
 ///
 /// # Errors
 /// An error that prevents the trial from running, or a robot from driving on.
 pub async fn run(
+    site: &mut dyn Site,
+    faults: impl IntoIterator<Item = Fault, IntoIter: Send>,
+    begun: Instant,
+) -> Result<Findings, String> {
+    let found = carry_out(site, faults, begun).await;
+    if !matches!(&found, Ok(findings) if findings.failures.is_empty()) {
+        for part in site.parts() {
+            eprintln!("--- {part} ---\n{}", site.log(&part));
+        }
+    }
+    found
+}
+
+async fn carry_out(
     site: &mut dyn Site,
     faults: impl IntoIterator<Item = Fault, IntoIter: Send>,
     begun: Instant,
@@ -211,8 +225,8 @@ pub async fn run(
     let happened = happen(site, faults, begun, &mut truth, &mut findings).await;
     ending.store(true, Ordering::Relaxed);
     // Robots without goals rest, so an error in submitting goals is reported first.
-    feeding.await.map_err(|error| error.to_string())??;
-    if let Err(error) = happened {
+    let fed = feeding.await.map_err(|error| error.to_string())?;
+    if let Err(error) = fed.and(happened) {
         return Err(format!("{error}; {}", client.under_way().await));
     }
     client.all_end(2 * LONG).await?;
@@ -455,10 +469,17 @@ impl Client {
         Ok(reply.goals.into_iter().map(|goal| (goal.id, goal.state)).collect())
     }
 
-    /// What each robot's mission is doing, in its own words.
+    /// What each robot's mission is doing, in its own words, and who leads in the robot's.
     async fn under_way(&self) -> String {
         let mut told = Vec::new();
         for (robot, _) in LANES {
+            told.push(match self.bus.latest(&topics::STATE, &[robot]) {
+                Ok(mut states) => match tokio::time::timeout(ANSWERED, states.next()).await {
+                    Ok(Some(state)) => format!("{robot} says {:?}", state.message.lease),
+                    _ => format!("{robot} says nothing"),
+                },
+                Err(error) => format!("{robot}: {error}"),
+            });
             told.push(
                 match self.asked(&topics::GOALS, robot, &GoalsRequest::default()).await {
                     Ok(reply) => match reply.goals.iter().find(|goal| goal.state == GoalPhase::Active) {

@@ -16,10 +16,6 @@ use super::{LONG, ZENAV};
 const UNKNOWN: u16 = 4321;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-#[cfg_attr(
-    debug_assertions,
-    ignore = "a debug build of Zenoh asserts that this does not happen: `cargo test --release`"
-)]
 async fn a_router_that_no_longer_knows_what_another_one_subscribes_to_starts_anew_but_not_again_and_again() {
     let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
     let mut router = deployment.start_router();

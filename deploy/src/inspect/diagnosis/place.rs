@@ -15,7 +15,7 @@ pub(super) fn localisation(name: &str, told: &Localisation, has_stored_map: bool
         Health::Degraded { direction } => Check::ok(
             name,
             check,
-            format!("its scans agree with the map, which leaves the pose open along {direction:.2} rad"),
+            format!("its scans do not contradict the map, and leave the pose open along {direction:.2} rad"),
         ),
         Health::Unchecked => Check::ok(
             name,
@@ -127,7 +127,7 @@ mod tests {
             (Health::Tracking, "its scans agree with the map", None),
             (
                 Health::Degraded { direction: 1.57 },
-                "its scans agree with the map, which leaves the pose open along 1.57 rad",
+                "its scans do not contradict the map, and leave the pose open along 1.57 rad",
                 None,
             ),
             (Health::Unchecked, "not compared with a known map: there is none", None),

@@ -312,3 +312,23 @@ fn a_gate_that_opened_before_a_robot_hides_no_kidnapping_after_it() {
     let off = found.map_from_base.distance(&Pose2::IDENTITY);
     assert!(found.is_found_anew && off < 0.06, "{found:?}");
 }
+
+#[test]
+fn a_robot_that_sees_nothing_for_half_a_metre_is_degraded_until_it_sees_something_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mapping = driven(3.0, folder.path());
+    let mut drives = |sees: bool, way: f64| {
+        let mut scan = scan(way);
+        if !sees {
+            scan.ranges.fill(100.0);
+        }
+        mapping.insert(&scan, "boot");
+        mapping.health()
+    };
+    assert_eq!(drives(false, 3.4), Health::Tracking, "odometry is right for so far");
+    let Health::Degraded { direction } = drives(false, 3.6) else {
+        panic!("it sees nothing");
+    };
+    assert!(direction.abs() < 0.1, "along its way: {direction}");
+    assert_eq!(drives(true, 3.65), Health::Tracking);
+}
