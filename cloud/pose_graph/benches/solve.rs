@@ -5,6 +5,8 @@
 //! With `GTSAM_PYTHON=PYTHON`, the interpreter of a virtual environment with PyPI's `gtsam`, GTSAM solves the same graphs from the same
 //! start with the same information matrices, single-threaded like ours, with its default parameters and nothing to certify. Its robust
 //! methods trust odometry, as ours does, and get our limit for a false closure.
+//!
+//! With `FACTRS_PEER=PROGRAM`, what `cargo build --release` makes of `peers/factrs`, factrs does so as well, without robust methods.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,16 +20,17 @@ use std::time::Duration;
 use criterion::{Criterion, criterion_group, criterion_main};
 use zenav_fixtures::{Row, ThreadTime, on_thread_time, thread_time};
 use zenav_pose_graph::{
-    DescentSettings, PoseGraph, RobustSettings, Solution, certify, chordal_start, descend, g2o, solve, solve_robust,
+    DescentSettings, PoseGraph, RobustSettings, Solution, certify, chi_squared, chordal_start, descend, g2o, solve,
+    solve_robust,
 };
 use zenav_protocol::geometry::Pose2;
 
-#[path = "peers/gtsam.rs"]
-mod gtsam;
 #[path = "../tests/manhattan/mod.rs"]
 mod manhattan;
+#[path = "peers/mod.rs"]
+mod peers;
 
-use gtsam::Gtsam;
+use peers::Peer;
 
 /// Seeds of the false closures.
 const SEEDS: RangeInclusive<u64> = 1001..=1030;
@@ -35,12 +38,12 @@ const SEEDS: RangeInclusive<u64> = 1001..=1030;
 const SAME: f64 = 1e-3;
 /// Runs of a solve beside a peer, of either.
 const RUNS: usize = 20;
-/// GTSAM's methods for graphs that are true, and for those that may not be.
+/// Peers' methods for graphs that are true, and GTSAM's for those that may not be.
 const METHODS: [(&str, &str); 2] = [
-    ("gauss_newton", "gtsam Gauss-Newton"),
-    ("levenberg_marquardt", "gtsam Levenberg-Marquardt"),
+    ("gauss_newton", "Gauss-Newton"),
+    ("levenberg_marquardt", "Levenberg-Marquardt"),
 ];
-const ROBUST_METHODS: [(&str, &str); 2] = [("gnc", "gtsam GNC"), ("huber", "gtsam Huber")];
+const ROBUST_METHODS: [(&str, &str); 2] = [("gnc", "GNC"), ("huber", "Huber")];
 /// Seeds of the false closures beside a peer, the first ones: GNC takes five seconds each in CSAIL, and more than a minute in M3500.
 const PEER_SEEDS: usize = 5;
 
@@ -64,9 +67,9 @@ fn graphs() -> Vec<(String, PoseGraph)> {
     paths.iter().map(read).collect()
 }
 
-/// Solves beside GTSAM's, both from the file's own start; and whether both find the same optimum.
-fn beside(peer: &Gtsam, name: &str, graph: &PoseGraph, solution: &Solution) {
-    let (descent, limit) = (DescentSettings::default(), RobustSettings::default().max_chi_squared);
+/// Solves beside a peer's, both from the file's own start; and whether both find the same optimum.
+fn beside(peer: &Peer, name: &str, graph: &PoseGraph, solution: &Solution) {
+    let descent = DescentSettings::default();
     let took = |_| {
         let begin = thread_time();
         let _ = std::hint::black_box(solve(graph, &descent));
@@ -75,16 +78,18 @@ fn beside(peer: &Gtsam, name: &str, graph: &PoseGraph, solution: &Solution) {
     let _ = solve(graph, &descent);
     let ours = median((0..RUNS).map(took).collect());
     for (method, what) in METHODS {
-        let theirs = peer.solve(method, graph, RUNS, limit);
+        let what = format!("{} {what}", peer.name);
+        let theirs = peer.solve(method, graph, RUNS);
         Row::new(format!("{name}: solve, ours with its certificate"), ours, "ms")
-            .beside(what, theirs.ms)
+            .beside(&what, theirs.ms)
             .print();
         let mut ours_first = graph.clone();
         ours_first.set_poses(&solution.poses).unwrap();
-        let from_ours = peer.solve(method, &ours_first, 1, limit);
+        let from_ours = peer.solve(method, &ours_first, 1);
         println!(
-            "{name}, {what}: chi squared {:.4} by its errors (ours {:.4} by ours), {:.1e} m from our optimum, {:.1e} m from where it ends from there",
+            "{name}, {what}: chi squared {:.4} by its errors, {:.4} by ours (ours {:.4}), {:.1e} m from our optimum, {:.1e} m from where it ends from there",
             theirs.chi_squared,
+            chi_squared(graph, &theirs.poses, &vec![1.0; graph.edges().len()]),
             solution.chi_squared,
             farthest(&theirs.poses, &solution.poses),
             farthest(&theirs.poses, &from_ours.poses),
@@ -93,23 +98,23 @@ fn beside(peer: &Gtsam, name: &str, graph: &PoseGraph, solution: &Solution) {
 }
 
 /// Robust solves beside GTSAM's. `ends`: ours, in ms and m from our optimum of the graph without false closures.
-fn beside_robust(peer: &Gtsam, name: &str, graph: &PoseGraph, spoiled: &[PoseGraph], ends: &[(f64, f64)]) {
-    let limit = RobustSettings::default().max_chi_squared;
-    let optimum = peer.solve(METHODS[1].0, graph, 1, limit).poses;
+fn beside_robust(peer: &Peer, name: &str, graph: &PoseGraph, spoiled: &[PoseGraph], ends: &[(f64, f64)]) {
+    let optimum = peer.solve(METHODS[1].0, graph, 1).poses;
     for (method, what) in ROBUST_METHODS {
+        let what = format!("{} {what}", peer.name);
         let theirs: Vec<(f64, f64)> = spoiled
             .iter()
-            .map(|graph| peer.solve(method, graph, 1, limit))
+            .map(|graph| peer.solve(method, graph, 1))
             .map(|answer| (answer.ms, farthest(&answer.poses, &optimum)))
             .collect();
         println!("{name}, half of the closures false, {what}: ms and m from its optimum {theirs:.2?}");
         let times = |ends: &[(f64, f64)]| median(ends.iter().map(|end| end.0).collect());
         let of = |what| format!("{name}, half of the closures false: {what} {} seeds", spoiled.len());
         Row::new(of("time, median of"), times(ends), "ms")
-            .beside(what, times(&theirs))
+            .beside(&what, times(&theirs))
             .print();
         Row::new(of("same optimum, of"), same(ends), "seeds")
-            .beside(what, same(&theirs))
+            .beside(&what, same(&theirs))
             .print();
     }
 }
@@ -182,7 +187,10 @@ fn benches(criterion: &mut Criterion<ThreadTime>) {
         }
         let what = format!("{name}, half of the closures false: same optimum, of {}", SEEDS.count());
         Row::new(what, same(&ends), "seeds").print();
-        if let Some(peer) = Gtsam::new() {
+        if let Some(peer) = Peer::factrs() {
+            beside(&peer, &name, &graph, &solution);
+        }
+        if let Some(peer) = Peer::gtsam(robust.max_chi_squared) {
             beside(&peer, &name, &graph, &solution);
             let graphs: Vec<PoseGraph> = SEEDS.take(PEER_SEEDS).map(spoiled).collect();
             beside_robust(&peer, &name, &graph, &graphs, &ends[..PEER_SEEDS]);

@@ -40,6 +40,8 @@ pub(super) struct Standbys {
     replicators: BTreeMap<String, Replicator>,
     begun: Instant,
     next_try: Instant,
+    /// Whether the last attempt to update the robot's list failed.
+    is_list_late: bool,
 }
 
 /// The task that replicates to one standby.
@@ -75,6 +77,7 @@ impl Standbys {
             replicators: BTreeMap::new(),
             begun: Instant::now(),
             next_try: Instant::now(),
+            is_list_late: false,
         }
     }
 
@@ -280,6 +283,7 @@ impl Standbys {
         };
         match self.bus.ask(&topics::LEASE, &[&self.robot], &request, PATIENCE).await {
             Ok(_) => {
+                self.is_list_late = false;
                 self.membership.settle();
                 let standbys = self.membership.members();
                 tracing::info!(robot = self.robot, ?standbys, "the robot lists the standbys");
@@ -290,7 +294,10 @@ impl Standbys {
             }
             Err(AskError::Refused(Refusal::NotLeader)) => Err(End::Deposed),
             Err(error) => {
-                tracing::warn!(robot = self.robot, %error, "the robot's list of standbys is not updated");
+                // A robot that was cut off is asked for as long as that lasts.
+                if !std::mem::replace(&mut self.is_list_late, true) {
+                    tracing::warn!(robot = self.robot, %error, "the robot's list of standbys is not updated");
+                }
                 Ok(())
             }
         }

@@ -29,6 +29,8 @@ pub struct Namespaces {
     /// Host and command of each part.
     commands: BTreeMap<String, (String, Vec<String>)>,
     processes: BTreeMap<String, Process>,
+    /// What the earlier processes of each part logged.
+    past: BTreeMap<String, String>,
 }
 
 /// Why no namespaces can be created here; `None` when they can.
@@ -59,6 +61,7 @@ impl Namespaces {
             prefix: format!("zn{}", std::process::id()),
             commands: BTreeMap::new(),
             processes: BTreeMap::new(),
+            past: BTreeMap::new(),
         };
         site.wire()?;
         let address = |host: &str| match host {
@@ -208,7 +211,11 @@ impl Site for Namespaces {
         // Relative file names of the deployment are resolved here.
         let folder = self.folder.path().join("rendered/etc");
         let process = Process::start("ip", &arguments, &folder);
-        self.processes.insert(part.to_owned(), process);
+        if let Some(mut before) = self.processes.insert(part.to_owned(), process) {
+            let past = self.past.entry(part.to_owned()).or_default();
+            past.push_str(&before.log());
+            past.push('\n');
+        }
         Ok(())
     }
 
@@ -241,7 +248,8 @@ impl Site for Namespaces {
     }
 
     fn log(&mut self, part: &str) -> String {
-        self.process(part).map(Process::log).unwrap_or_default()
+        let now = self.process(part).map(Process::log).unwrap_or_default();
+        self.past.get(part).cloned().unwrap_or_default() + &now
     }
 }
 

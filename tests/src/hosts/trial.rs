@@ -33,6 +33,8 @@ pub const HORIZON: f64 = 5.0;
 const LONG: Duration = Duration::from_secs(90);
 /// Wall time to wait for an answer before the request is repeated.
 const ANSWERED: Duration = Duration::from_secs(2);
+/// Missions of a robot: one on each host of the cloud.
+const MISSIONS: usize = 2;
 /// Unfinished goals of a robot at a time.
 const OUTSTANDING: usize = 3;
 /// Goals that each robot must reach in a minute of faults, beside those that it is given at once: one takes some 20 s without faults.
@@ -222,7 +224,7 @@ async fn carry_out(
         let bus = super::join("watch", router, &site.identity()).await?;
         watching.push(tokio::spawn(watch(bus, Arc::clone(&ending))));
     }
-    let happened = happen(site, faults, begun, &mut truth, &mut findings).await;
+    let happened = happen(site, faults, begun, (&client, &mut truth), &mut findings).await;
     ending.store(true, Ordering::Relaxed);
     // Robots without goals rest, so an error in submitting goals is reported first.
     let fed = feeding.await.map_err(|error| error.to_string())?;
@@ -240,16 +242,20 @@ async fn carry_out(
     Ok(findings)
 }
 
-/// Injects the faults one after the other, each once all robots drive.
+/// Injects the faults one after the other, each once all robots drive and all missions have caught up: until then the last fault lasts.
 async fn happen(
     site: &mut dyn Site,
     faults: impl IntoIterator<Item = Fault, IntoIter: Send>,
     begun: Instant,
-    truth: &mut Truth,
+    (client, truth): (&Client, &mut Truth),
     findings: &mut Findings,
 ) -> Result<(), String> {
     let drives = |_: &str, rest: f64| rest < DRIVES;
     for fault in faults {
+        client
+            .all_caught_up()
+            .await
+            .map_err(|error| format!("before {fault:?}: {error}"))?;
         truth
             .until(&format!("all robots drive before {fault:?}"), LONG, drives)
             .await?;
@@ -467,6 +473,26 @@ impl Client {
         let reply = self.asked(&topics::GOALS, robot, &all).await;
         let reply = reply.map_err(|error| format!("goals of {robot}: {error}"))?;
         Ok(reply.goals.into_iter().map(|goal| (goal.id, goal.state)).collect())
+    }
+
+    /// Waits until each robot says that every mission may lead it next.
+    async fn all_caught_up(&self) -> Result<(), String> {
+        let end = Instant::now() + LONG;
+        for (robot, _) in LANES {
+            let states = self.bus.latest(&topics::STATE, &[robot]);
+            let mut states = states.map_err(|error| error.to_string())?;
+            loop {
+                let state = tokio::time::timeout(end.saturating_duration_since(Instant::now()), states.next());
+                let Ok(Some(state)) = state.await else {
+                    return Err(format!("not all missions of {robot} have caught up within {LONG:?}"));
+                };
+                let leader = state.message.lease.leader;
+                if leader.is_some_and(|leader| leader.caught_up.len() == MISSIONS) {
+                    break;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// What each robot's mission is doing, in its own words, and who leads in the robot's.

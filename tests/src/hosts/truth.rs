@@ -64,6 +64,7 @@ impl Truth {
         limit: Duration,
         enough: impl Fn(&str, f64) -> bool,
     ) -> Result<(), String> {
+        self.catch_up();
         let deadline = Instant::now() + limit;
         loop {
             let Ok(Some(received)) = timeout_at(deadline, self.readings.next()).await else {
@@ -91,6 +92,7 @@ impl Truth {
     /// # Errors
     /// When the world stands still.
     pub async fn during(&mut self, secs: f64) -> Result<(), String> {
+        self.catch_up();
         let mut first = None;
         let patience = Duration::from_secs_f64(secs * 10.0 + 10.0);
         let deadline = Instant::now() + patience;
@@ -104,6 +106,15 @@ impl Truth {
             }
         }
         Err(format!("the world does not get on by {secs} s within {patience:?}"))
+    }
+
+    /// Takes the readings that came while nobody listened.
+    fn catch_up(&mut self) {
+        while let Some(received) = self.readings.try_next() {
+            if let Some(robot) = received.chunks.first() {
+                self.see(robot, &received.message);
+            }
+        }
     }
 
     fn see(&mut self, robot: &str, readings: &Readings) {

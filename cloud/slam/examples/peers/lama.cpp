@@ -1,0 +1,206 @@
+// Peer of SLAM: LaMa, with the defaults of its ROS nodes, on the same odometry and scans.
+//
+//   apt-get install libeigen3-dev cmake; the sources of iris-ua/iris_lama
+//   cmake -S LAMA -B BUILD -DCMAKE_BUILD_TYPE=Release && make -C BUILD
+//   g++ -O3 -DNDEBUG -std=c++14 -I LAMA/include -I /usr/include/eigen3 lama.cpp BUILD/src/libiris_lama.a -pthread -o lama
+//   ./lama slam|particles|graph node|each_scan SEED < LOG
+//
+// LOG, lengths in m and angles in rad, a line for each scan:
+//   scan X Y YAW LASER_X LASER_Y LASER_YAW ANGLE_MIN ANGLE_INCREMENT RANGE_MIN RANGE_MAX COUNT RANGE…   odometry first
+// For each scan a line `X Y YAW MS UPDATED`: the pose, the processor time of this thread, and whether LaMa used the scan.
+// `particles` and `graph` then write such lines once more, with the poses that all scans together lead to: those of the best particle's path,
+// and of the graph. The time of that is the first line's.
+//
+// `slam` is Slam2D, which closes no loops, `particles` PFSlam2D with 30 particles, `graph` GraphSlam2D.
+// `node`: a scan is used after the way or turn that the node waits for; between updates odometry leads on from the last one.
+// `each_scan`: every scan is used.
+
+#include <lama/graph_slam2d.h>
+#include <lama/pf_slam2d.h>
+#include <lama/slam2d.h>
+
+#include <cmath>
+#include <cstdint>
+#include <cstdlib>
+#include <ctime>
+#include <iostream>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace {
+
+// LaMa's `a + b` is b, which is relative to a, in the frame of a; `a - b` is b relative to a.
+using lama::Pose2D;
+
+/// A number; streams do not read `inf`.
+double number(std::istream& in) {
+  std::string word;
+  in >> word;
+  return std::strtod(word.c_str(), nullptr);
+}
+
+Pose2D pose(std::istream& in) {
+  const double x = number(in), y = number(in), yaw = number(in);
+  return {x, y, yaw};
+}
+
+struct Scan {
+  Pose2D odometry, laser;
+  double angle_min, angle_increment, range_min, range_max;
+  std::vector<double> ranges;
+
+  explicit Scan(std::istream& in)
+      : odometry{pose(in)},
+        laser{pose(in)},
+        angle_min{number(in)},
+        angle_increment{number(in)},
+        range_min{number(in)},
+        range_max{number(in)},
+        ranges(static_cast<std::size_t>(number(in))) {
+    for (double& range : ranges) range = number(in);
+  }
+
+  /// The beams that met something, as the nodes read them.
+  lama::PointCloudXYZ::Ptr points() const {
+    auto cloud = std::make_shared<lama::PointCloudXYZ>();
+    cloud->sensor_origin_ = {laser.x(), laser.y(), 0.0};
+    cloud->sensor_orientation_ = Eigen::AngleAxisd{laser.rotation(), Eigen::Vector3d::UnitZ()};
+    cloud->points.reserve(ranges.size());
+    for (std::size_t beam = 0; beam < ranges.size(); ++beam) {
+      const double range = ranges[beam], angle = angle_min + static_cast<double>(beam) * angle_increment;
+      if (!(range > range_min && range < range_max)) continue;
+      cloud->points.emplace_back(range * std::cos(angle), range * std::sin(angle), 0.0);
+    }
+    return cloud;
+  }
+};
+
+/// This thread's processor time, ms: the machine may be shared.
+double now() {
+  timespec t{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+  return 1e3 * static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_nsec);
+}
+
+/// LaMa's own defaults, with the way and turn after which a scan is used; `each_scan` uses one that did not move, too.
+template <class Options>
+Options waiting(bool each_scan, double way, double turn) {
+  Options options;
+  options.trans_thresh = each_scan ? -1.0 : way;
+  options.rot_thresh = each_scan ? -1.0 : turn;
+  return options;
+}
+
+struct Slam {
+  lama::Slam2D slam;
+
+  Slam(bool each_scan, std::uint32_t) : slam{waiting<lama::Slam2D::Options>(each_scan, 0.01, 0.25)} {}
+
+  bool update(const Scan& scan) {
+    return slam.enoughMotion(scan.odometry) && slam.update(scan.points(), scan.odometry, 0.0);
+  }
+  Pose2D pose() const { return slam.getPose(); }
+  std::vector<Pose2D> finish() { return {}; }
+};
+
+struct Particles {
+  lama::PFSlam2D slam;
+
+  Particles(bool each_scan, std::uint32_t seed) : slam{options(each_scan, seed)} {}
+
+  static lama::PFSlam2D::Options options(bool each_scan, std::uint32_t seed) {
+    auto options = waiting<lama::PFSlam2D::Options>(each_scan, 0.5, 0.25);
+    options.particles = 30;
+    options.seed = seed;
+    return options;
+  }
+
+  bool update(const Scan& scan) { return slam.update(scan.points(), scan.odometry, 0.0); }
+  Pose2D pose() const { return slam.getPose(); }
+  std::vector<Pose2D> finish() {
+    const auto& poses = slam.getParticles()[slam.getBestParticleIdx()].poses;
+    return {poses.begin(), poses.end()};
+  }
+};
+
+struct Graph {
+  lama::GraphSlam2D slam;
+  /// For each update its key pose, and the pose relative to that.
+  std::vector<std::pair<std::size_t, Pose2D>> updates;
+
+  Graph(bool each_scan, std::uint32_t) : slam{options(each_scan)} {}
+
+  static lama::GraphSlam2D::Options options(bool each_scan) {
+    auto options = waiting<lama::GraphSlam2D::Options>(each_scan, 0.25, 0.25);
+    options.key_pose_distance = 0.5;
+    options.key_pose_head_delay = 3;
+    options.loop_search_max_distance = 15.0;
+    options.loop_search_min_distance = 5.0;
+    options.loop_closure_scan_rmse = 0.075;
+    return options;
+  }
+
+  bool update(const Scan& scan) {
+    if (!slam.enoughMotion(scan.odometry) || !slam.update(scan.points(), scan.odometry, 0.0)) return false;
+    updates.emplace_back(slam.key_poses.size() - 1, slam.key_poses.back().original - slam.slam->getPose());
+    return true;
+  }
+  Pose2D pose() const { return slam.getPose(); }
+  std::vector<Pose2D> finish() {
+    slam.optimizePoseGraph();
+    std::vector<Pose2D> poses;
+    for (const auto& update : updates) poses.push_back(slam.key_poses[update.first].pose + update.second);
+    return poses;
+  }
+};
+
+void write(const Pose2D& pose, double ms, bool updated) {
+  std::cout << pose.x() << ' ' << pose.y() << ' ' << pose.rotation() << ' ' << ms << ' ' << updated << '\n';
+}
+
+template <class Method>
+void run(bool each_scan, std::uint32_t seed) {
+  Method method{each_scan, seed};
+  Pose2D updated_at, last;
+  // For each scan the number of updates, and the way since the last one.
+  std::vector<std::pair<std::size_t, Pose2D>> scans;
+  std::size_t updates = 0;
+  for (std::string word; std::cin >> word;) {
+    const Scan scan{std::cin};
+    const double begin = now();
+    const bool updated = method.update(scan);
+    if (updated) {
+      last = method.pose();
+      updated_at = scan.odometry;
+      ++updates;
+    }
+    const double took = now() - begin;
+    scans.emplace_back(updates, updated_at - scan.odometry);
+    write(last + scans.back().second, took, updated);
+  }
+  const double begin = now();
+  const auto finished = method.finish();
+  double took = now() - begin;
+  if (finished.empty()) return;
+  for (const auto& scan : scans) {
+    write(finished[scan.first - 1] + scan.second, took, false);
+    took = 0.0;
+  }
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+  if (count < 4) {
+    std::cerr << "expected slam|particles|graph node|each_scan SEED\n";
+    return 2;
+  }
+  std::ios::sync_with_stdio(false);
+  std::cout.precision(12);
+  const std::string method = arguments[1];
+  const bool each_scan = arguments[2] == std::string{"each_scan"};
+  const auto seed = static_cast<std::uint32_t>(std::atoi(arguments[3]));
+  (method == "graph" ? run<Graph> : method == "particles" ? run<Particles> : run<Slam>)(each_scan, seed);
+}
