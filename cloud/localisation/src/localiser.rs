@@ -476,7 +476,9 @@ impl Localiser {
                 }));
             }
             Found::Unique(place) => {
-                self.health = Health::Tracking;
+                self.health = place
+                    .degenerate
+                    .map_or(Health::Tracking, |direction| Health::Degraded { direction });
                 self.contradictions = 0;
                 self.view.clear();
                 self.record.clear();

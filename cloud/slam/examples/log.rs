@@ -1,6 +1,8 @@
 //! Accuracy of a log's poses: a simulated house, or a CARMEN log with reference relations.
 //!
 //! `cargo run --release -p zenav-slam --example log [-- LOG [RELATIONS [setting=value …]]]`
+//!
+//! With `LAMA_PEER`, LaMa gets the same scans and odometry: see `peers/lama.cpp`.
 
 #![allow(
     clippy::print_stdout,
@@ -15,6 +17,8 @@ use zenav_slam::{Relation, Slam, SlamSettings, in_order, read_relations, relatio
 
 #[path = "../tests/house/mod.rs"]
 mod house;
+#[path = "peers/lama.rs"]
+mod lama;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -77,4 +81,19 @@ fn run(scans: &[Scan], relations: &[Relation], settings: SlamSettings) {
         per_scan(online),
         per_scan(all)
     );
+    let Some(lama) = lama::Lama::new(scans) else {
+        return;
+    };
+    for (method, how, what) in lama::USES {
+        let answer = lama.run(method, how);
+        println!(
+            "{what}: {} scans used, processor time: {:.2} ms a scan",
+            answer.updates,
+            per_scan(answer.secs)
+        );
+        for (when, poses) in [("  online  ", answer.online), ("  finished", answer.finished)] {
+            let stamps = scans.iter().map(|scan| scan.stamp.as_secs());
+            errors(when, &stamps.zip(poses).collect::<Vec<_>>());
+        }
+    }
 }

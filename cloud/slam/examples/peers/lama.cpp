@@ -13,12 +13,13 @@
 //
 // `slam` is Slam2D, which closes no loops, `particles` PFSlam2D with 30 particles, `graph` GraphSlam2D.
 // `node`: a scan is used after the way or turn that the node waits for; between updates odometry leads on from the last one.
-// `each_scan`: every scan is used.
+// `each_scan`: every scan is used. All else is as the node has it, also that beams beyond 16 m are left out.
 
 #include <lama/graph_slam2d.h>
 #include <lama/pf_slam2d.h>
 #include <lama/slam2d.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
@@ -62,7 +63,7 @@ struct Scan {
     for (double& range : ranges) range = number(in);
   }
 
-  /// The beams that met something, as the nodes read them.
+  /// The beams that met something, as far as the nodes look by default.
   lama::PointCloudXYZ::Ptr points() const {
     auto cloud = std::make_shared<lama::PointCloudXYZ>();
     cloud->sensor_origin_ = {laser.x(), laser.y(), 0.0};
@@ -70,7 +71,7 @@ struct Scan {
     cloud->points.reserve(ranges.size());
     for (std::size_t beam = 0; beam < ranges.size(); ++beam) {
       const double range = ranges[beam], angle = angle_min + static_cast<double>(beam) * angle_increment;
-      if (!(range > range_min && range < range_max)) continue;
+      if (!(range > range_min && range < std::min(range_max, 16.0))) continue;
       cloud->points.emplace_back(range * std::cos(angle), range * std::sin(angle), 0.0);
     }
     return cloud;
