@@ -16,7 +16,7 @@ use zenoh::{Session, Wait};
 ///
 /// An arrival within that time after a departure is mistaken for the departed router, and receives no declarations: it reads no key and
 /// answers no request until another link changes. So a router that was restarted waits for as long.
-pub const SETTLING: Duration = Duration::from_millis(300);
+pub const SETTLING: Duration = Duration::from_millis(200);
 
 /// Peers linked to a session.
 #[derive(Default)]
