@@ -151,12 +151,13 @@ pub async fn run(binary: &str, faults: &[Fault], seed: u64) -> Result<Findings, 
         bus: bus.clone(),
     };
     for fault in faults {
+        let quiet = observed.random.random_range(0.0..LONGEST_QUIET);
+        observed.run_for(Duration::from_secs_f64(quiet)).await?;
+        // On a busy machine a standby may be dropped, and joins again: without one nobody takes over.
         let ready = |status: &MissionStatus| status.leads && !status.standbys.is_empty();
         let Some(leader) = observed.until(READY, ready).await? else {
             return Err(format!("before {fault:?}: no leader with a standby within {READY:?}"));
         };
-        let quiet = observed.random.random_range(0.0..LONGEST_QUIET);
-        observed.run_for(Duration::from_secs_f64(quiet)).await?;
         if let Fault::StandbyPaused(secs) = fault {
             let Some(standby) = pair.other(&leader.holder) else {
                 continue;

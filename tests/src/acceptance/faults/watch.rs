@@ -26,6 +26,8 @@ pub struct Watch {
     /// Last time with a plan in force, and last time with a live lease, on the robot's clock.
     planned: Stamp,
     leased: Stamp,
+    /// When it began to be watched, or was heard again, on its clock: one that was frozen brakes then.
+    begun: Stamp,
     boot: String,
     /// Wall time of the last state.
     pub heard: Instant,
@@ -48,6 +50,7 @@ impl Watch {
             last: None,
             planned: Stamp::ZERO,
             leased: Stamp::ZERO,
+            begun: Stamp::ZERO,
             boot: String::new(),
             heard: Instant::now(),
             collisions: 0,
@@ -74,7 +77,7 @@ impl Watch {
     fn check(&mut self, state: EdgeState) {
         if state.boot_id != self.boot {
             // A new boot has a new clock.
-            (self.planned, self.leased) = (state.stamp, state.stamp);
+            (self.planned, self.leased, self.begun) = (state.stamp, state.stamp, state.stamp);
             self.boot.clone_from(&state.boot_id);
         }
         // A maneuver, such as a tree's recovery, needs no plan but the lease.
@@ -89,7 +92,8 @@ impl Watch {
             let expired = state
                 .plan
                 .as_ref()
-                .is_some_and(|plan| plan.valid_for <= 0.0 && !plan.finished);
+                .is_some_and(|plan| plan.valid_for <= 0.0 && !plan.finished)
+                && state.stamp.secs_since(self.begun) > BRAKES;
             let without = state.stamp.secs_since(self.planned) > BRAKES;
             let alone = self.policy == LostPolicy::Stop && state.stamp.secs_since(self.leased) > BRAKES;
             let what = match (expired, without, alone) {
@@ -99,9 +103,10 @@ impl Watch {
                 _ => None,
             };
             if let Some(what) = what {
-                let (secs, v) = (state.stamp.as_secs(), state.velocity.v);
-                self.invalid
-                    .push(format!("at {secs:.2} s it moves at {v:.2} m/s, and {what}"));
+                let (secs, Twist2 { v, w }) = (state.stamp.as_secs(), state.velocity);
+                self.invalid.push(format!(
+                    "at {secs:.2} s it moves at {v:.2} m/s, {w:.2} rad/s, and {what}"
+                ));
             }
         }
         self.last = Some(state);
