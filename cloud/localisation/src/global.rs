@@ -41,8 +41,6 @@ pub struct Hypothesis {
     pub pose: Pose2,
     /// Covariance of x, y (m²) and yaw (rad²) along the map's axes: large along a corridor.
     pub covariance: Matrix3<f64>,
-    /// Direction in the map, rad, along which the scan does not determine the position.
-    pub degenerate: Option<f64>,
     /// Evidence of the scan on this pose.
     pub evidence: Evidence,
 }
@@ -155,7 +153,6 @@ pub(crate) fn find_in_view(map: &KnownMap, view: &[Sight], settings: &Localisati
         places.push(Hypothesis {
             pose,
             covariance: turned(&covariance, pose.yaw),
-            degenerate: refined.degenerate.map(|along| along.y.atan2(along.x)),
             evidence,
         });
     }

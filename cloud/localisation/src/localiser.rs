@@ -476,9 +476,7 @@ impl Localiser {
                 }));
             }
             Found::Unique(place) => {
-                self.health = place
-                    .degenerate
-                    .map_or(Health::Tracking, |direction| Health::Degraded { direction });
+                self.health = Health::Tracking;
                 self.contradictions = 0;
                 self.view.clear();
                 self.record.clear();

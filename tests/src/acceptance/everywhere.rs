@@ -6,10 +6,10 @@
 use std::f64::consts::PI;
 use std::time::Duration;
 
-use nalgebra::{Point2, Vector2, Vector3};
+use nalgebra::{Point2, Vector2};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use zenav_localisation::{Found, Hypothesis, KnownMap, LocalisationSettings, find};
+use zenav_localisation::{Found, KnownMap, LocalisationSettings, find};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 
@@ -19,8 +19,6 @@ const LIDAR: (u32, f64, f64) = (360, 1.5 * PI, 25.0);
 const NOISE: f64 = 0.01;
 /// Largest error of a right answer, m and rad.
 const RIGHT: (f64, f64) = (0.1, 0.035);
-/// 99 % of chi-square with three degrees of freedom.
-const COVERED: f64 = 11.345;
 /// Free space around each place, m.
 const ROOM: f64 = 0.3;
 /// Fewest returns: places with fewer are left out.
@@ -33,8 +31,6 @@ pub struct Tally {
     pub took: Vec<f64>,
     /// A unique and right place.
     pub right: usize,
-    /// A unique place that is not right, but whose covariance says how far it may be off: one direction is open, as along a corridor.
-    pub open: usize,
     /// Several places, the right one among them.
     pub ambiguous: usize,
     /// Several places, all of them wrong.
@@ -63,10 +59,9 @@ impl Tally {
     #[must_use]
     pub fn line(&self) -> String {
         format!(
-            "{} places: {} right, {} open along a direction, {} ambiguous ({} without the right one), {} nowhere, {} out of budget, {} wrong; {:.2} s median, {:.2} s 95 %, {:.2} s at most",
+            "{} places: {} right, {} ambiguous ({} without the right one), {} nowhere, {} out of budget, {} wrong; {:.2} s median, {:.2} s 95 %, {:.2} s at most",
             self.took.len(),
             self.right,
-            self.open,
             self.ambiguous + self.ambiguous_wrong,
             self.ambiguous_wrong,
             self.nowhere,
@@ -105,7 +100,6 @@ pub fn ask_everywhere(
             |pose: Pose2| pose.distance(&truth) <= RIGHT.0 && wrap_angle(pose.yaw - truth.yaw).abs() <= RIGHT.1;
         match found {
             Found::Unique(place) if is_right(place.pose) => tally.right += 1,
-            Found::Unique(place) if is_open(&place, truth) => tally.open += 1,
             Found::Unique(place) => tally.wrong.push((truth, place.pose, place.evidence.agreeing)),
             Found::Ambiguous(places) if places.iter().any(|place| is_right(place.pose)) => tally.ambiguous += 1,
             Found::Ambiguous(_) => tally.ambiguous_wrong += 1,
@@ -114,20 +108,6 @@ pub fn ask_everywhere(
         }
     }
     tally
-}
-
-/// Whether a place says that it may be as far off as it is: along one direction, and within its covariance.
-fn is_open(place: &Hypothesis, truth: Pose2) -> bool {
-    let error = Vector3::new(
-        truth.x - place.pose.x,
-        truth.y - place.pose.y,
-        wrap_angle(truth.yaw - place.pose.yaw),
-    );
-    let squared = place
-        .covariance
-        .try_inverse()
-        .map(|inverse| error.dot(&(inverse * error)));
-    place.degenerate.is_some() && squared.is_some_and(|squared| squared <= COVERED)
 }
 
 /// Draws a random pose; `None` unless it is free with room around it.

@@ -129,7 +129,6 @@ pub fn localise(places: usize, files: &[PathBuf], seed: u64) -> Verdict {
         }
         for (what, many) in [
             ("right", tally.right),
-            ("open along a direction", tally.open),
             ("ambiguous", tally.ambiguous + tally.ambiguous_wrong),
             ("ambiguous without the right place", tally.ambiguous_wrong),
             ("without an answer", tally.nowhere + tally.out_of_budget),
