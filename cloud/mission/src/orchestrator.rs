@@ -175,6 +175,18 @@ impl Mission {
         self.collect(heartbeat)
     }
 
+    /// Whether the next step with these inputs certainly is brief, well below a millisecond: no goal is open, and nothing has come that takes
+    /// long to check, such as a map or a client's request.
+    #[must_use]
+    pub fn is_brief(&self, inputs: &Inputs) -> bool {
+        self.goals.open().next().is_none()
+            && inputs.requests.is_empty()
+            && inputs.answers.is_empty()
+            && inputs.map_patches.is_empty()
+            && inputs.map_frame.is_none()
+            && inputs.annotations.is_none()
+    }
+
     /// Reports that the last step took until now while heartbeats continued: this mission was busy, not suspended.
     pub fn was_kept_alive(&mut self, now: Stamp) {
         let now = self.own_time(now);

@@ -1,6 +1,7 @@
 //! Leading mission. Each step takes everything that has arrived; its effects are persisted, here and with the standbys, then published.
 
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 
 use tokio::sync::mpsc;
@@ -35,8 +36,10 @@ const BEAT: Duration = Duration::from_millis(100);
 const ROLL_CALL: Duration = Duration::from_millis(300);
 /// Time after which mapping that was not heard is silent: many times the interval of its beats, and a late link.
 const MAPPING_SILENT: Duration = Duration::from_secs(5);
-/// Longest time between two steps, and between two checks whether this process was suspended.
+/// Longest time between two checks whether this process was suspended.
 const PULSE: Duration = Duration::from_millis(200);
+/// Longest time between two steps, while the robot's clock stands still or is slow.
+const STILL: Duration = Duration::from_secs(1);
 
 /// Leads, or requests to, until shutdown or until another mission leads.
 pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
@@ -53,13 +56,17 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
     metrics::leads(&shell.robot, true);
     service.role.met();
     let mut ticks = service.clock.interval(PERIOD);
-    let mut last = Instant::now();
+    let (mut last, mut stepped) = (Instant::now(), Instant::now());
+    let shutdown = service.shutdown.clone();
+    let ending = shutdown.wait();
+    tokio::pin!(ending);
     loop {
         let mut inputs = Inputs::default();
+        let mut is_due = true;
         tokio::select! {
             // The robot's clock may stop; this one does not.
-            () = tokio::time::sleep_until(last + PULSE) => {}
-            () = service.shutdown.wait() => {
+            () = tokio::time::sleep_until(last + PULSE) => is_due = stepped.elapsed() >= STILL,
+            () = &mut ending => {
                 if shell.standbys.is_held_up(last) {
                     return Ok(Turn::Over);
                 }
@@ -83,6 +90,10 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
             return Ok(Turn::Follow);
         }
         last = Instant::now();
+        if !is_due {
+            continue;
+        }
+        stepped = last;
         shell.drain(&mut inputs);
         let effects;
         (mission, effects) = shell.step(mission, &service.clock, inputs, &mut last).await?;
@@ -240,8 +251,9 @@ impl Shell {
         self.clients.insert(client, pending);
     }
 
-    /// Steps the mission on a blocking thread. Configuration spaces, floods and tree files may take a while; heartbeats are sent meanwhile,
-    /// for [`LONGEST_STEP`] at most, so that a huge map or goal does not cost the lease. `last` is when this process was last known to run.
+    /// Steps the mission: on a blocking thread, unless the step is brief. Configuration spaces, floods and tree files may take a while;
+    /// heartbeats are sent meanwhile, for [`LONGEST_STEP`] at most, so that a huge map or goal does not cost the lease. `last` is when this
+    /// process was last known to run.
     async fn step(
         &mut self,
         mut mission: Box<Mission>,
@@ -250,11 +262,18 @@ impl Shell {
         last: &mut Instant,
     ) -> Result<(Box<Mission>, Vec<Effect>), MissionError> {
         let now = clock.now();
+        let begun = Instant::now();
+        if mission.is_brief(&inputs) {
+            // Without the two changes of thread, which take longer than such a step.
+            let stepped = catch_unwind(AssertUnwindSafe(|| mission.step(now, inputs)));
+            let effects = stepped.map_err(|_| MissionError::Step("it panicked".to_owned()))?;
+            self.metrics.tick.observe(begun.elapsed().as_secs_f64());
+            return Ok((mission, effects));
+        }
         let mut stepping = tokio::task::spawn_blocking(move || {
             let effects = mission.step(now, inputs);
             (mission, effects)
         });
-        let begun = Instant::now();
         let mut kept_alive = false;
         loop {
             tokio::select! {

@@ -7,7 +7,10 @@
 //! pause of the link. A restart of the simulation is accepted only after several consecutive messages in the new time: if two simulations
 //! publish the time, the clock does not alternate between them, and the first one counts.
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Waker};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use tokio::sync::watch;
@@ -43,7 +46,76 @@ pub struct Clock(Kind);
 #[derive(Clone, Debug)]
 enum Kind {
     Wall { start: Instant, start_stamp: Stamp },
-    Simulated(watch::Receiver<Stamp>),
+    Simulated(Simulated),
+}
+
+/// A simulated time, and the tasks that wait for it.
+#[derive(Clone, Debug)]
+struct Simulated {
+    time: watch::Receiver<Stamp>,
+    sleepers: Arc<Sleepers>,
+}
+
+/// Tasks that wait until a time, each with a number of its own. Each is woken once, when it is due: the time may move two hundred times a
+/// second, and a process may have a task for each of a hundred robots.
+#[derive(Debug, Default)]
+struct Sleepers(Mutex<Waiting>);
+
+#[derive(Debug, Default)]
+struct Waiting {
+    wakers: BTreeMap<(Stamp, u64), Waker>,
+    numbers: u64,
+}
+
+impl Sleepers {
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Wakes the tasks that wait for `now` or earlier.
+    fn wake(&self, now: Stamp) {
+        let due = {
+            let mut waiting = self.lock();
+            let later = waiting.wakers.split_off(&(now, u64::MAX));
+            std::mem::replace(&mut waiting.wakers, later)
+        };
+        due.into_values().for_each(Waker::wake);
+    }
+}
+
+/// Waits until a simulated clock shows a time.
+struct Sleep<'a> {
+    clock: &'a Simulated,
+    until: Stamp,
+    /// Its number among the sleepers, once it waits.
+    number: Option<u64>,
+}
+
+impl Future for Sleep<'_> {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<()> {
+        let clock = self.clock;
+        let mut waiting = clock.sleepers.lock();
+        // Under the lock: the time moves before its sleepers are woken.
+        if *clock.time.borrow() >= self.until {
+            return Poll::Ready(());
+        }
+        let number = *self.number.get_or_insert_with(|| {
+            waiting.numbers += 1;
+            waiting.numbers
+        });
+        waiting.wakers.insert((self.until, number), context.waker().clone());
+        Poll::Pending
+    }
+}
+
+impl Drop for Sleep<'_> {
+    fn drop(&mut self) {
+        if let Some(number) = self.number {
+            self.clock.sleepers.lock().wakers.remove(&(self.until, number));
+        }
+    }
 }
 
 /// The time shown to a service, derived from the stamps of the simulation.
@@ -92,23 +164,30 @@ impl Follower {
 
 /// Moves a simulated clock.
 #[derive(Clone, Debug)]
-pub struct ClockHandle(Arc<watch::Sender<Stamp>>);
+pub struct ClockHandle {
+    time: Arc<watch::Sender<Stamp>>,
+    sleepers: Arc<Sleepers>,
+}
 
 impl ClockHandle {
     /// Sets the time, and wakes the waiting tasks. A small step back is ignored; a large one means that the simulation restarted.
     pub fn set(&self, now: Stamp) {
-        self.0.send_if_modified(|current| {
+        let moved = self.time.send_if_modified(|current| {
             let moved = now > *current || current.since(now) > RESTART;
             if moved {
                 *current = now;
             }
             moved
         });
+        if moved {
+            self.sleepers.wake(now);
+        }
     }
 
     /// Moves the time forwards.
     pub fn advance(&self, by: Duration) {
-        self.0.send_modify(|current| *current = *current + by);
+        self.time.send_modify(|current| *current = *current + by);
+        self.sleepers.wake(*self.time.borrow());
     }
 }
 
@@ -126,8 +205,13 @@ impl Clock {
     /// A simulated clock and its handle.
     #[must_use]
     pub fn simulated(start: Stamp) -> (Self, ClockHandle) {
-        let (sender, receiver) = watch::channel(start);
-        (Self(Kind::Simulated(receiver)), ClockHandle(Arc::new(sender)))
+        let (sender, time) = watch::channel(start);
+        let sleepers = Arc::default();
+        let handle = ClockHandle {
+            time: Arc::new(sender),
+            sleepers: Arc::clone(&sleepers),
+        };
+        (Self(Kind::Simulated(Simulated { time, sleepers })), handle)
     }
 
     /// Follows the simulated clock on the bus; shows zero until the first message. Must be called in a Tokio runtime.
@@ -145,7 +229,7 @@ impl Clock {
             loop {
                 tokio::select! {
                     // The last clone of the clock was dropped.
-                    () = handle.0.closed() => return,
+                    () = handle.time.closed() => return,
                     open = topic.changed() => if !open { return },
                 }
                 if let Some(now) = topic.take().and_then(|message| follower.follow(message.stamp)) {
@@ -167,7 +251,7 @@ impl Clock {
     pub fn now(&self) -> Stamp {
         match &self.0 {
             Kind::Wall { start, start_stamp } => *start_stamp + start.elapsed(),
-            Kind::Simulated(time) => *time.borrow(),
+            Kind::Simulated(clock) => *clock.time.borrow(),
         }
     }
 
@@ -178,10 +262,13 @@ impl Clock {
                 Some(instant) => tokio::time::sleep_until(instant).await,
                 None => std::future::pending().await,
             },
-            Kind::Simulated(time) => {
-                if time.clone().wait_for(|now| *now >= stamp).await.is_err() {
-                    std::future::pending::<()>().await;
-                }
+            Kind::Simulated(clock) => {
+                let sleep = Sleep {
+                    clock,
+                    until: stamp,
+                    number: None,
+                };
+                sleep.await;
             }
         }
     }
@@ -261,6 +348,36 @@ mod tests {
         assert!(!sleeper.is_finished());
         handle.set(Stamp(151));
         assert_eq!(sleeper.await.ok(), Some(Stamp(151)));
+    }
+
+    #[test]
+    fn a_task_is_woken_once_when_it_is_due_and_leaves_nothing_behind() {
+        #[derive(Default)]
+        struct Count(std::sync::atomic::AtomicUsize);
+        impl std::task::Wake for Count {
+            fn wake(self: Arc<Self>) {
+                self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            }
+        }
+        let (clock, handle) = Clock::simulated(Stamp(100));
+        let count = Arc::new(Count::default());
+        let waker = Waker::from(Arc::clone(&count));
+        let woken = || count.0.load(std::sync::atomic::Ordering::Relaxed);
+        let mut sleep = Box::pin(clock.sleep_until(Stamp(150)));
+        let mut other = Box::pin(clock.sleep_until(Stamp(150)));
+        for now in [110, 120, 149] {
+            assert!(sleep.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
+            assert!(other.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
+            handle.set(Stamp(now));
+            assert_eq!(woken(), 0);
+        }
+        drop(other);
+        handle.set(Stamp(150));
+        handle.set(Stamp(200));
+        assert_eq!(woken(), 1);
+        assert!(sleep.as_mut().poll(&mut Context::from_waker(&waker)).is_ready());
+        drop(sleep);
+        assert!(handle.sleepers.lock().wakers.is_empty());
     }
 
     #[tokio::test]
