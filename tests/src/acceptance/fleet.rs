@@ -29,9 +29,11 @@ use crate::usage::{cpu_secs, memory};
 
 /// Tick of the clock; a mission's step is a multiple of it.
 const TICK: Duration = Duration::from_millis(5);
-/// Ticks between two poses, and between two states.
+/// Ticks between two poses, and between two states, each of which comes with a pose.
 const POSE_EVERY: u32 = 4;
 const STATE_EVERY: u32 = 20;
+/// Robots that share a session, as missions do. Zenoh compares what a session receives with all that is declared in it.
+const ROBOTS_A_SESSION: usize = 8;
 /// Sample period of trajectories, s.
 const SAMPLES: f64 = 0.05;
 /// Nominal heartbeat period, s.
@@ -78,6 +80,7 @@ pub struct Findings {
 
 /// A robot that drives every plan perfectly.
 struct FakeRobot {
+    bus: Bus,
     name: String,
     arbiter: LeaseArbiter,
     pose: Pose2,
@@ -98,6 +101,7 @@ impl FakeRobot {
     fn new(bus: &Bus, name: String) -> Result<Self, BusError> {
         let chunks = [name.as_str()];
         Ok(Self {
+            bus: bus.clone(),
             arbiter: LeaseArbiter::new(LEASE, 0, None),
             pose: Pose2::IDENTITY,
             velocity: Twist2::ZERO,
@@ -175,6 +179,9 @@ impl FakeRobot {
     }
 
     fn tick(&mut self, now: Stamp, count: u32) {
+        if !count.is_multiple_of(POSE_EVERY) {
+            return;
+        }
         self.velocity = Twist2::ZERO;
         let mut progress = None;
         if let Some((plan, begun)) = &self.plan {
@@ -201,15 +208,13 @@ impl FakeRobot {
                 finished: self.finished,
             });
         }
-        if count.is_multiple_of(POSE_EVERY) {
-            self.poses.put(&PoseEstimate {
-                stamp: now,
-                map_from_base: self.pose,
-                covariance: [0.0; 9],
-                velocity: self.velocity,
-                frame: 0,
-            });
-        }
+        self.poses.put(&PoseEstimate {
+            stamp: now,
+            map_from_base: self.pose,
+            covariance: [0.0; 9],
+            velocity: self.velocity,
+            frame: 0,
+        });
         if count.is_multiple_of(STATE_EVERY) {
             self.states.put(&EdgeState {
                 stamp: now,
@@ -301,8 +306,11 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     let router = deployment.start_router();
     let bus = deployment.bus().await;
     let mut fakes = BTreeMap::new();
-    for name in &names {
-        fakes.insert(name.clone(), FakeRobot::new(&bus, name.clone()).map_err(text)?);
+    for names in names.chunks(ROBOTS_A_SESSION) {
+        let bus = deployment.bus().await;
+        for name in names {
+            fakes.insert(name.clone(), FakeRobot::new(&bus, name.clone()).map_err(text)?);
+        }
     }
     let mut leases = bus.serve(&topics::LEASE, &["*"]).map_err(text)?;
     let mut infos = bus.serve(&topics::EDGE_INFO, &["*"]).map_err(text)?;
@@ -315,12 +323,9 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     let mut heartbeats = bus.subscribe(&topics::HEARTBEAT, &["*"], 65536).map_err(text)?;
     let mut written = bus.subscribe(&topics::PLAN, &["*"], 65536).map_err(text)?;
     let mut ended = bus.subscribe(&topics::GOAL_STATE, &["*", "*"], 65536).map_err(text)?;
-    let orchestrators: Vec<Process> = names
-        .chunks(robots.div_ceil(shards.max(1)))
-        .enumerate()
-        .map(|(nth, names)| deployment.start_missions(&format!("shard{nth}"), &sections(names), shards == 1))
-        .collect();
-    let used = || -> Result<[f64; 2], String> {
+    let mut shards_left = names.chunks(robots.div_ceil(shards.max(1))).enumerate();
+    let (mut orchestrators, mut started) = (Vec::<Process>::new(), 0);
+    let used = |orchestrators: &[Process]| -> Result<[f64; 2], String> {
         let of = |process: &Process| cpu_secs(process.id()).map_err(|error| error.to_string());
         let missions: Vec<f64> = orchestrators.iter().map(of).collect::<Result<_, _>>()?;
         Ok([missions.iter().sum(), of(&router)?])
@@ -351,19 +356,27 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
             _ = ticks.tick() => {
                 count += 1;
                 clock.put(&SimClock { stamp: now() });
-                for fake in fakes.values_mut() {
-                    fake.tick(now(), count);
+                // In turn: robots do not publish all at once.
+                for (turn, fake) in (0..).zip(fakes.values_mut()) {
+                    fake.tick(now(), count + turn);
                 }
                 let led = fakes.values().filter(|fake| fake.arbiter.is_live(now())).count();
                 match measured {
                     None if settling.is_some_and(|begun: Instant| since(begun) > SETTLING) => {
-                        measured = Some((Instant::now(), used()?));
+                        measured = Some((Instant::now(), used(&orchestrators)?));
                     }
                     None if settling.is_some() => {}
+                    // One shard after another: the router compares what a thousand missions declare with all that is declared.
+                    None if led == started && started < robots => {
+                        if let Some((nth, names)) = shards_left.next() {
+                            started += names.len();
+                            let holder = format!("shard{nth}");
+                            orchestrators.push(deployment.start_missions(&holder, &sections(names), shards == 1));
+                        }
+                    }
                     None if led == robots => {
                         for (turn, fake) in (0_u32..).zip(fakes.values_mut()) {
-                            fake.tell_map(now());
-                            submit(&bus, fake, (turn * STAGGER).div_f64(speed));
+                            submit(fake, (turn * STAGGER).div_f64(speed));
                         }
                         settling = Some(Instant::now());
                     }
@@ -375,7 +388,7 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
                         findings.faults[0] += robots - led;
                         let took = since(begun).as_secs_f64();
                         if took >= secs {
-                            let after = used()?;
+                            let after = used(&orchestrators)?;
                             findings.load = (after[0] - before[0]) / took;
                             findings.router = (after[1] - before[1]) / took;
                             for process in &orchestrators {
@@ -390,12 +403,15 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
             Some(request) = leases.next() => {
                 let Some(fake) = request.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
                 match fake.arbiter.request(now(), &request.body) {
-                    Ok(granted) => request.reply(&LeaseReply {
-                        epoch: granted.epoch,
-                        ttl_secs: LEASE.as_secs_f64(),
-                        boot_id: "boot".to_owned(),
-                        round_trip_secs: None,
-                    }),
+                    Ok(granted) => {
+                        request.reply(&LeaseReply {
+                            epoch: granted.epoch,
+                            ttl_secs: LEASE.as_secs_f64(),
+                            boot_id: "boot".to_owned(),
+                            round_trip_secs: None,
+                        });
+                        fake.tell_map(now());
+                    }
                     Err(refusal) => request.refuse(&refusal),
                 }
             }
@@ -427,7 +443,7 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
                     let good = goal.message.state == GoalPhase::Succeeded;
                     findings.goals += usize::from(good && measured.is_some());
                     findings.faults[2] += usize::from(!good);
-                    submit(&bus, fake, Duration::ZERO);
+                    submit(fake, Duration::ZERO);
                 }
             }
         }
@@ -436,8 +452,8 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     Ok(findings)
 }
 
-fn submit(bus: &Bus, fake: &mut FakeRobot, after: Duration) {
-    let (bus, name, goal) = (bus.clone(), fake.name.clone(), fake.next_goal());
+fn submit(fake: &mut FakeRobot, after: Duration) {
+    let (bus, name, goal) = (fake.bus.clone(), fake.name.clone(), fake.next_goal());
     tokio::spawn(async move {
         tokio::time::sleep(after).await;
         if let Err(error) = bus.ask(&topics::GOAL, &[&name], &goal, Duration::from_secs(10)).await {
