@@ -35,8 +35,11 @@ fn a_closure_of_a_metre_leaves_a_driving_robot_on_its_way_at_its_speed_and_its_g
 
 #[test]
 fn a_robot_that_is_carried_away_while_it_maps_finds_itself_in_its_own_map() {
-    let told = zenav_tests::acceptance::kidnapped::kidnap(1009, PoseSource::Slam).unwrap();
-    assert!(told.is_good() && told.succeeded && told.off < 0.05, "{told:?}");
+    // On the second seed the scan fits near its old place, too.
+    for seed in [1009, 7054] {
+        let told = zenav_tests::acceptance::kidnapped::kidnap(seed, PoseSource::Slam).unwrap();
+        assert!(told.is_good() && told.succeeded && told.off < 0.05, "{told:?}");
+    }
 }
 
 #[test]

@@ -2,7 +2,8 @@
 //!
 //! A badly fitting scan shows something new, something changed, or another place. New sights continue, so a node waits for several such
 //! scans in a row, unless the robot goes far meanwhile. A scan whose beams go through known walls contradicts the map and becomes no node, since it would confirm the next one.
-//! After several of these the robot is lost, until a scan fits or the world is declared changed.
+//! After several of these the robot is lost, until a scan fits or the world is declared changed. It is lost at once if it was carried: if a
+//! scan shows other surroundings than the one a moment before.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +23,9 @@ pub(crate) struct Doubt {
     poor: u32,
     /// Whether the world has changed: until a scan fits well, nothing contradicts the map.
     accepts: bool,
+    /// Whether the robot was carried, and no scan has fitted since.
+    #[serde(default)]
+    was_carried: bool,
 }
 
 impl Doubt {
@@ -32,6 +36,11 @@ impl Doubt {
     /// Whether the world has changed, so that nothing contradicts the map.
     pub(crate) fn accepts(&self) -> bool {
         self.accepts
+    }
+
+    /// Whether the robot was carried, and no scan has fitted since.
+    pub(crate) fn was_carried(&self) -> bool {
+        self.was_carried
     }
 
     /// Whether beams through walls count as evidence for a scan of this many points.
@@ -61,7 +70,7 @@ impl Doubt {
     /// Takes in whether a scan fits the map, contradicts it, or neither.
     pub(crate) fn take(&mut self, fits: bool, contradicts: bool) {
         if fits {
-            self.contradictions = 0;
+            (self.contradictions, self.was_carried) = (0, false);
         } else if contradicts {
             self.contradictions = self.contradictions.saturating_add(1);
         }
@@ -69,11 +78,17 @@ impl Doubt {
 
     /// Declares the robot's place right and the world changed.
     pub(crate) fn accept(&mut self) {
-        (self.contradictions, self.accepts) = (0, true);
+        (self.contradictions, self.accepts, self.was_carried) = (0, true, false);
     }
 
     /// Declares the robot lost.
     pub(crate) fn lose(&mut self) {
         (self.contradictions, self.accepts) = (LOST, false);
+    }
+
+    /// Declares that the robot was carried: it is lost.
+    pub(crate) fn carry(&mut self) {
+        self.lose();
+        self.was_carried = true;
     }
 }

@@ -8,7 +8,8 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::sensors::Fix;
 use zenav_scan_matching::{
-    LikelihoodField, OdometryFilter, Prior, Refinable, Refined, Window, floored, judge, points, search, turned,
+    FieldSettings, LikelihoodField, OdometryFilter, Prior, Refinable, Refined, Window, floored, judge, points, search,
+    turned,
 };
 
 use crate::back_end::BackEnd;
@@ -31,6 +32,19 @@ const EVIDENCE: f64 = 1.5;
 /// Beyond this way and turn from the last node, m and rad, a badly fitting scan does not wait for another: the scans of some logs are a
 /// metre apart, and past a corner the next ones see nothing of the map.
 const LONG: (f64, f64) = (0.75, 0.75);
+/// Two scans at most this long and this far apart, s, m and rad, see mostly the same, unless the robot was carried between them.
+const CONTINUOUS: (f64, f64, f64) = (0.5, 0.3, 0.3);
+/// The robot was carried if a smaller share of a scan lies at what the last one saw, ...
+const SEEN_BEFORE: f64 = 0.5;
+/// ... a larger share of its beams goes through that, since people who step in front of the robot only hide it, ...
+const BEYOND: f64 = 0.05;
+/// ... and where it matches the last one best, a smaller share lies at what that one saw: wheels may have slipped.
+const SEEN_IF_MATCHED: f64 = 0.7;
+/// Cells and standard deviation of what the last scan saw, m: beams far away are as far apart, and people move on a little.
+const LAST_SEEN: FieldSettings = FieldSettings {
+    resolution: 0.05,
+    sigma: 0.15,
+};
 /// Upper bound on how unlikely a correction of odometry is (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
 
@@ -58,6 +72,10 @@ pub struct Slam {
     pub(crate) older: Option<Box<Older>>,
     /// Time, s, and odometry of the last scan.
     pub(crate) last: Option<(f64, Pose2)>,
+    /// Points of that scan in the frame of its base.
+    pub(crate) last_seen: Vec<Point2<f64>>,
+    /// What the scan before the present one saw, in the frame of the present base by odometry; empty if the two are too far apart.
+    pub(crate) seen_before: Vec<Point2<f64>>,
     pub(crate) last_node_odometry: Pose2,
     pub(crate) odometry: OdometryFilter,
     /// Whether odometry restarts with the next scan.
@@ -112,6 +130,8 @@ impl Slam {
             sessions: vec![Session::default()],
             older: None,
             last: None,
+            last_seen: Vec::new(),
+            seen_before: Vec::new(),
             last_node_odometry: Pose2::IDENTITY,
             odometry: OdometryFilter::UNSEEN,
             is_interrupted: false,
@@ -226,6 +246,7 @@ impl Slam {
         {
             self.last_node_odometry = odometry * before.inverse() * self.last_node_odometry;
             self.doubt_place();
+            self.last_seen.clear();
             // The stamp at which its poses were to be adopted may never come: the robot's clock may have begun anew.
             if self.adopts_at.is_some() {
                 self.drop_solve();
@@ -241,6 +262,7 @@ impl Slam {
         let step = odometry_before.inverse() * odometry;
         let seen = on_grid(points(scan, step, stamp - before, &self.settings.scan));
         self.last = Some((stamp, odometry));
+        self.note_seen(stamp - before, step, &seen);
         if self.scans.is_empty() {
             return self.begin(stamp, odometry, seen, scan.base_from_laser.position());
         }
@@ -249,7 +271,8 @@ impl Slam {
         let way = node_from_base.x.hypot(node_from_base.y);
         let is_near = way < front.distance && node_from_base.yaw.abs() < front.turn;
         let laser = scan.base_from_laser.position();
-        let mut effects = if is_near && !self.is_doubted && !self.doubt.accepts() {
+        let is_certain = !(self.is_doubted || self.doubt.accepts() || self.doubt.was_carried());
+        let mut effects = if is_near && is_certain {
             self.track(stamp, node_from_base, seen, laser)
         } else {
             self.insert(stamp, node_from_base, seen, laser, is_near)?
@@ -260,7 +283,9 @@ impl Slam {
         };
         self.doubt.take(effects.fits, effects.contradicts);
         if self.is_lost() {
-            self.doubt_place();
+            if self.keeps_all || !self.doubt.was_carried() {
+                self.doubt_place();
+            }
             if self.keeps_all {
                 // In a log nobody searches for the robot: what follows is a separate part unless closures join it.
                 self.doubt.accept();
@@ -269,18 +294,70 @@ impl Slam {
         Ok(effects)
     }
 
+    /// Keeps what the present scan sees for the next one, and what the last one saw for the present one.
+    fn note_seen(&mut self, secs: f64, step: Pose2, seen: &[Point2<f64>]) {
+        let (longest, far, turn) = CONTINUOUS;
+        self.seen_before = std::mem::replace(&mut self.last_seen, seen.to_vec());
+        if secs > longest || step.x.hypot(step.y) > far || step.yaw.abs() > turn {
+            self.seen_before.clear();
+        }
+        let back = step.inverse();
+        for point in &mut self.seen_before {
+            *point = back.transform_point(*point);
+        }
+    }
+
+    /// Whether a scan shows other surroundings than the one a moment before, neither where odometry leads nor matched to it, since wheels
+    /// slip: the robot was carried between them.
+    fn is_carried(&self, laser: Point2<f64>, seen: &[Point2<f64>]) -> bool {
+        if !self.doubt.heeds(seen.len().min(self.seen_before.len())) {
+            return false;
+        }
+        let mut before = LikelihoodField::new(&LAST_SEEN);
+        before.insert(Pose2::IDENTITY, &self.seen_before);
+        let judged = |at: Pose2| judge(&before, laser, seen, at, &self.settings.verdict);
+        let by_odometry = judged(Pose2::IDENTITY);
+        if by_odometry.explained >= SEEN_BEFORE || by_odometry.through_walls <= BEYOND {
+            return false;
+        }
+        let scan = Refinable::seen_from(laser, seen);
+        let matched = scan.refine(&before, Pose2::IDENTITY, None, &self.settings.refine);
+        judged(matched.pose).explained < SEEN_IF_MATCHED
+    }
+
     /// Widens the search for the robot beyond the error of odometry, which does not explain how it got there.
     fn doubt_place(&mut self) {
         (self.is_doubted, self.is_apart) = (true, true);
         self.fixes = [None; 2];
     }
 
-    /// Whether the robot is elsewhere than the map says: five scans contradict it, with no fitting scan between them. Beside a robot
-    /// nothing is inserted until a scan fits, the robot [continues elsewhere](Self::go_on_at), or the [world has
-    /// changed](Self::accept_change).
+    /// Whether the robot is elsewhere than the map says: five scans contradict it, with no fitting scan between them, or the robot [was
+    /// carried](Self::was_carried). Beside a robot nothing is inserted until a scan fits, the robot [continues elsewhere](Self::go_on_at),
+    /// or the [world has changed](Self::accept_change).
     #[must_use]
     pub fn is_lost(&self) -> bool {
         self.doubt.is_lost()
+    }
+
+    /// Whether the robot was carried away: a scan that does not fit shows other surroundings than the one a moment before, and none since
+    /// has fitted where odometry leads. Within the window of a doubtful match no other place is taken meanwhile: such a match is a chance one
+    /// too often. False in a log, which continues as a separate part.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// use zenav_slam::{Slam, SlamSettings};
+    ///
+    /// let mut slam = Slam::beside_a_robot(SlamSettings::default(), Pose2::IDENTITY);
+    /// slam.step(&look(0.0, Pose2::IDENTITY))?;
+    /// // The robot is carried, unnoticed by its wheels.
+    /// let there = look(0.2, Pose2::new(1.2, 0.5, 0.8));
+    /// slam.step(&Scan { odom_from_base: Pose2::IDENTITY, ..there })?;
+    /// assert!(slam.was_carried() && slam.is_lost());
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
+    #[must_use]
+    pub fn was_carried(&self) -> bool {
+        self.doubt.was_carried()
     }
 
     /// Declares the robot lost: the next scan is searched for widely.
@@ -337,7 +414,11 @@ impl Slam {
         let is_match = refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
         let pose = map_from_anchor * anchor_from_base;
-        let contradicts = !is_match && self.goes_through_walls(active, expected, laser, &seen);
+        let is_carried = !is_match && self.is_carried(laser, &seen);
+        if is_carried {
+            self.doubt.carry();
+        }
+        let contradicts = is_carried || !is_match && self.goes_through_walls(active, expected, laser, &seen);
         let effects = Effects {
             pose,
             score: is_match.then_some(refined.score),
@@ -475,7 +556,8 @@ impl Slam {
         let scan = Refinable::seen_from(laser, &seen);
         let matched = self.matched(active, expected, &prior, &scan, laser, &mut effects);
         effects.contradicts |= matched.is_none()
-            && (was_doubted && self.doubt.heeds(seen.len()) || self.goes_through_walls(active, expected, laser, &seen));
+            && ((was_doubted || self.doubt.was_carried()) && self.doubt.heeds(seen.len())
+                || self.goes_through_walls(active, expected, laser, &seen));
         let waits = self.doubt.waits(seen.len());
         let is_near = is_near && !self.doubt.accepts();
         if matched.is_none() && (is_near || effects.contradicts || waits || self.is_lost()) {
@@ -573,13 +655,16 @@ impl Slam {
     ) -> Option<Refined> {
         let settings = self.settings;
         let (reach, turn) = self.window();
-        let submap = &mut self.submaps[active];
         let prior = Prior::of_odometry(expected, odometry);
-        let mut best = submap.refine(scan, expected, Some(&prior), &settings.refine);
+        let mut best = self.submaps[active].refine(scan, expected, Some(&prior), &settings.refine);
         let is_doubtful = self.is_doubted
             || best.score < settings.front.doubtful * self.usual
             || unlikely(&prior, best.pose) > DOUBTFUL_CORRECTION;
-        if is_doubtful {
+        if is_doubtful && self.is_carried(laser, scan.points()) {
+            self.doubt.carry();
+        }
+        if is_doubtful && !self.doubt.was_carried() {
+            let submap = &mut self.submaps[active];
             self.counts.wide_searches += 1;
             effects.is_searched = true;
             let window = Window {
@@ -610,10 +695,10 @@ impl Slam {
         if best.score < least {
             return None;
         }
-        if !is_well {
+        if !is_well || self.doubt.was_carried() {
             // Much of a map explains much of any scan; if the robot is elsewhere, the rest goes through walls.
             effects.contradicts = self.goes_through_walls(active, best.pose, laser, scan.points());
-            if effects.contradicts || self.doubt.waits(points) {
+            if effects.contradicts || !is_well && self.doubt.waits(points) {
                 return None;
             }
         }

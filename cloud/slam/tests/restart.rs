@@ -140,6 +140,55 @@ fn who_walked_ahead_of_the_robot_and_away_contradicts_nothing() {
 }
 
 #[test]
+fn a_robot_that_is_carried_away_between_two_scans_is_lost_at_once_and_draws_nothing() {
+    let mut truth = lap(0, 2);
+    let (driven, here) = (truth.len(), *truth.last().unwrap());
+    // The second place is a corner.
+    for there in [truth[40] * Pose2::new(0.0, 0.3, 1.2), Pose2::new(11.3, 7.3, 0.8)] {
+        truth.truncate(driven);
+        truth.extend([there, there, there, here]);
+        let mut scans = House::usual().log(&truth, 1);
+        for index in driven..scans.len() {
+            scans[index].odom_from_base = scans[driven - 1].odom_from_base;
+        }
+        let mut slam = Slam::beside_a_robot(SlamSettings::default(), truth[0]);
+        for scan in &scans[..driven] {
+            slam.step(scan).unwrap();
+            assert!(!slam.was_carried());
+        }
+        let nodes = slam.nodes().len();
+        for scan in &scans[driven..driven + 3] {
+            let effects = slam.step(scan).unwrap();
+            assert!(effects.contradicts && !effects.is_inserted, "{there:?}: {effects:?}");
+            assert!(slam.was_carried() && slam.is_lost(), "{there:?}");
+        }
+        assert_eq!(slam.nodes().len(), nodes);
+        let back = slam.step(&scans[driven + 3]).unwrap();
+        assert!(
+            back.fits && !slam.is_lost() && !slam.was_carried(),
+            "{there:?}: {back:?}"
+        );
+    }
+}
+
+#[test]
+fn a_robot_that_slips_between_two_scans_was_not_carried() {
+    let mut truth = lap(0, 2);
+    let here = *truth.last().unwrap();
+    let slipped = here * Pose2::new(0.1, 0.1, 0.2);
+    truth.push(slipped);
+    let mut scans = House::usual().log(&truth, 1);
+    let last = scans.len() - 1;
+    scans[last].odom_from_base = scans[last - 1].odom_from_base;
+    let mut slam = Slam::beside_a_robot(SlamSettings::default(), truth[0]);
+    for scan in &scans[..last] {
+        slam.step(scan).unwrap();
+    }
+    slam.step(&scans[last]).unwrap();
+    assert!(!slam.was_carried());
+}
+
+#[test]
 fn a_robot_that_was_carried_goes_on_where_it_is_told_to_be_if_its_scan_says_so_too() {
     let (slam, truth, pose) = driven();
     let map_from_truth = pose * truth.inverse();

@@ -54,7 +54,7 @@ pub(super) struct SlamPoses {
     boot_id: String,
     /// Whether the robot was restarted or lost, and its new pose has not been sent yet.
     is_astray: bool,
-    /// Whether nothing ties the robot to its old place: it was restarted, or a search was requested, and no scan has fitted since.
+    /// Whether nothing ties the robot to its old place: it was restarted or carried, or a search was requested, and no scan has fitted since.
     is_uprooted: bool,
     /// Searches the whole map for the robot.
     search: Search,
@@ -491,6 +491,7 @@ impl SlamPoses {
         let is_lost = self.slam.as_ref().is_some_and(Slam::is_lost);
         self.is_astray |= is_lost;
         self.is_uprooted &= !effects.fits;
+        self.is_uprooted |= self.slam.as_ref().is_some_and(Slam::was_carried);
         // A successor of this process must know the loss, too.
         self.is_overdue |= is_lost == self.health.is_trusted();
         self.health = match effects.degenerate {

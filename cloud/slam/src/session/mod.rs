@@ -96,7 +96,7 @@ impl Slam {
 
     /// The map as bytes, with everything needed to continue without a trace of the interruption: poses, measurements with their weights,
     /// points of scans on their millimetre grid, where each scan was inserted into its submaps, and the learned odometry. Not stored: the
-    /// last readings of GPS and compass, if they are no measurements of a node yet; the next scans bring newer ones.
+    /// last readings of GPS and compass, if they are no measurements of a node yet, and what the last scan saw; the next scans bring newer ones.
     ///
     /// ```
     #[doc = include_str!("../doc_setup/mapped_room.txt")]

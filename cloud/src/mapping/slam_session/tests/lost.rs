@@ -11,6 +11,14 @@ fn nowhere(way: f64) -> Scan {
     scan
 }
 
+/// The same scan a second later.
+fn later(scan: Scan) -> Scan {
+    Scan {
+        stamp: Stamp::from_secs(scan.stamp.as_secs() + 1.0),
+        ..scan
+    }
+}
+
 /// Two rooms with a door between them.
 const ROOMS: [(f64, f64, f64, f64); 12] = [
     (4.0, -3.1, 10.0, -3.0),
@@ -70,9 +78,9 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
     let nodes = stored.head.scans;
     let clean = core().going_on(stored).mapper.info();
     let before = mapping.mapper.info();
-    // The robot stands, gets lost, and drives on.
+    // The robot stands, gets lost, and drives on. Its last scans before were lost on their way: nothing says whether it was carried.
     for step in 1..=7 {
-        let scan = nowhere(if step < 7 { 3.0 + 1e-3 * f64::from(step) } else { 3.15 });
+        let scan = later(nowhere(if step < 7 { 3.0 + 1e-3 * f64::from(step) } else { 3.15 }));
         let mapped = mapping.insert(&scan, "boot");
         assert_eq!(mapped.insertion, Insertion::Held, "{step}");
         assert_eq!(mapping.insert_further(&rear(scan), "boot"), Insertion::Held, "{step}");
@@ -86,7 +94,7 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
     assert_eq!(stored.head.scans, nodes);
     assert_eq!(core().going_on(stored).health(), Health::Searching, "it still is lost");
     mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
-    mapping.insert(&nowhere(3.16), "boot");
+    mapping.insert(&later(nowhere(3.16)), "boot");
     assert_eq!(mapping.mapper.map().frame, 1);
     let drawn = mapping.mapper.info();
     assert!(drawn.occupied.abs_diff(clean.occupied) < 30, "{drawn:?} {clean:?}");
@@ -155,6 +163,44 @@ fn a_robot_that_was_carried_away_while_it_maps_is_found_in_its_map_and_maps_on()
     let mapped = mapping.insert(&on_from_start(2.1), "boot");
     let off = mapped.localisation.unwrap().map_from_base;
     assert!(off.distance(&Pose2::new(2.1, 0.0, 0.0)) < 0.06, "{off:?}");
+}
+
+#[test]
+fn a_robot_that_is_carried_between_two_scans_is_found_with_the_first_scan_after_it() {
+    let mut mapping = driven_through_rooms(6.0);
+    let carried = Scan {
+        stamp: Stamp::from_secs(16.2),
+        odom_from_base: scan(6.0).odom_from_base,
+        ..seen_among(&ROOMS, 0.0)
+    };
+    let found = mapping.insert(&carried, "boot").correction.unwrap();
+    let off = found.map_from_base.distance(&Pose2::IDENTITY);
+    assert!(found.is_found_anew && off < 0.05, "{found:?}");
+}
+
+#[test]
+fn where_a_robot_was_carried_nothing_counts_as_changed() {
+    let mut mapping = driven_through_rooms(3.2);
+    let opened = opened();
+    for nth in 0..40 {
+        let stamp = Stamp::from_secs(13.4 + 0.2 * f64::from(nth));
+        let odom_from_base = scan(3.2).odom_from_base;
+        // A cloth is over the lidar of the robot that is carried; then it stands where it was, and the wall beside the door is gone.
+        let seen = if nth == 0 {
+            nowhere(3.2)
+        } else {
+            seen_among(&opened, 3.2)
+        };
+        mapping.insert(
+            &Scan {
+                stamp,
+                odom_from_base,
+                ..seen
+            },
+            "boot",
+        );
+    }
+    assert_eq!(mapping.health(), Health::Lost);
 }
 
 #[test]
