@@ -189,6 +189,9 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
             break;
         }
     }
+    if carried.is_none() {
+        return Err(format!("seed {seed}: it did not get to where it was to be kidnapped"));
+    }
     Ok(told)
 }
 
