@@ -2,7 +2,8 @@
 //!
 //! `cargo run --release -p zenav-slam --example log [-- LOG [RELATIONS [setting=value …]]]`
 //!
-//! With `LAMA_PEER`, LaMa gets the same scans and odometry: see `peers/lama.cpp`.
+//! With `LAMA_PEER` and `CARTOGRAPHER_PEER`, LaMa and Cartographer get the same scans and odometry: see `peers/lama.cpp` and
+//! `peers/cartographer.cpp`.
 
 #![allow(
     clippy::print_stdout,
@@ -17,8 +18,7 @@ use zenav_slam::{Relation, Slam, SlamSettings, in_order, read_relations, relatio
 
 #[path = "../tests/house/mod.rs"]
 mod house;
-#[path = "peers/lama.rs"]
-mod lama;
+mod peers;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -81,19 +81,23 @@ fn run(scans: &[Scan], relations: &[Relation], settings: SlamSettings) {
         per_scan(online),
         per_scan(all)
     );
-    let Some(lama) = lama::Lama::new(scans) else {
-        return;
-    };
-    for (method, how, what) in lama::USES {
-        let answer = lama.run(method, how);
-        println!(
-            "{what}: {} scans used, processor time: {:.2} ms a scan",
-            answer.updates,
-            per_scan(answer.secs)
-        );
-        for (when, poses) in [("  online  ", answer.online), ("  finished", answer.finished)] {
-            let stamps = scans.iter().map(|scan| scan.stamp.as_secs());
-            errors(when, &stamps.zip(poses).collect::<Vec<_>>());
+    for peer in peers::PEERS {
+        let Some(program) = peer.program() else {
+            continue;
+        };
+        let log = peers::log(scans);
+        for (arguments, what) in peer.uses {
+            let answer = peer.run(&program, arguments, &log);
+            println!(
+                "{what}: {} scans used, processor time: {:.2} ms a scan, {:.2} ms with the finish",
+                answer.updates,
+                per_scan(answer.online_secs),
+                per_scan(answer.secs)
+            );
+            for (when, poses) in [("  online  ", answer.online), ("  finished", answer.finished)] {
+                let stamps = scans.iter().map(|scan| scan.stamp.as_secs());
+                errors(when, &stamps.zip(poses).collect::<Vec<_>>());
+            }
         }
     }
 }

@@ -5,11 +5,8 @@
 //   g++ -O3 -DNDEBUG -std=c++14 -I LAMA/include -I /usr/include/eigen3 lama.cpp BUILD/src/libiris_lama.a -pthread -o lama
 //   ./lama slam|particles|graph node|each_scan SEED < LOG
 //
-// LOG, lengths in m and angles in rad, a line for each scan:
-//   scan X Y YAW LASER_X LASER_Y LASER_YAW ANGLE_MIN ANGLE_INCREMENT RANGE_MIN RANGE_MAX COUNT RANGE…   odometry first
-// For each scan a line `X Y YAW MS UPDATED`: the pose, the processor time of this thread, and whether LaMa used the scan.
-// `particles` and `graph` then write such lines once more, with the poses that all scans together lead to: those of the best particle's path,
-// and of the graph. The time of that is the first line's.
+// `scan.h` says what LOG and the answer are. The time is that of this thread. `particles` and `graph` finish: with the poses of the best
+// particle's path, and of the graph.
 //
 // `slam` is Slam2D, which closes no loops, `particles` PFSlam2D with 30 particles, `graph` GraphSlam2D.
 // `node`: a scan is used after the way or turn that the node waits for; between updates odometry leads on from the last one.
@@ -23,67 +20,36 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
-#include <ctime>
 #include <iostream>
 #include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "scan.h"
+
 namespace {
 
 // LaMa's `a + b` is b, which is relative to a, in the frame of a; `a - b` is b relative to a.
 using lama::Pose2D;
 
-/// A number; streams do not read `inf`.
-double number(std::istream& in) {
-  std::string word;
-  in >> word;
-  return std::strtod(word.c_str(), nullptr);
-}
+Pose2D pose2d(const Pose& pose) { return {pose.x, pose.y, pose.yaw}; }
 
-Pose2D pose(std::istream& in) {
-  const double x = number(in), y = number(in), yaw = number(in);
-  return {x, y, yaw};
-}
-
-struct Scan {
-  Pose2D odometry, laser;
-  double angle_min, angle_increment, range_min, range_max;
-  std::vector<double> ranges;
-
-  explicit Scan(std::istream& in)
-      : odometry{pose(in)},
-        laser{pose(in)},
-        angle_min{number(in)},
-        angle_increment{number(in)},
-        range_min{number(in)},
-        range_max{number(in)},
-        ranges(static_cast<std::size_t>(number(in))) {
-    for (double& range : ranges) range = number(in);
+/// The beams that met something, as far as the nodes look by default.
+lama::PointCloudXYZ::Ptr points(const Scan& scan) {
+  auto cloud = std::make_shared<lama::PointCloudXYZ>();
+  cloud->sensor_origin_ = {scan.laser.x, scan.laser.y, 0.0};
+  cloud->sensor_orientation_ = Eigen::AngleAxisd{scan.laser.yaw, Eigen::Vector3d::UnitZ()};
+  cloud->points.reserve(scan.ranges.size());
+  for (std::size_t beam = 0; beam < scan.ranges.size(); ++beam) {
+    const double range = scan.ranges[beam], angle = scan.angle(beam);
+    if (!(range > scan.range_min && range < std::min(scan.range_max, 16.0))) continue;
+    cloud->points.emplace_back(range * std::cos(angle), range * std::sin(angle), 0.0);
   }
-
-  /// The beams that met something, as far as the nodes look by default.
-  lama::PointCloudXYZ::Ptr points() const {
-    auto cloud = std::make_shared<lama::PointCloudXYZ>();
-    cloud->sensor_origin_ = {laser.x(), laser.y(), 0.0};
-    cloud->sensor_orientation_ = Eigen::AngleAxisd{laser.rotation(), Eigen::Vector3d::UnitZ()};
-    cloud->points.reserve(ranges.size());
-    for (std::size_t beam = 0; beam < ranges.size(); ++beam) {
-      const double range = ranges[beam], angle = angle_min + static_cast<double>(beam) * angle_increment;
-      if (!(range > range_min && range < std::min(range_max, 16.0))) continue;
-      cloud->points.emplace_back(range * std::cos(angle), range * std::sin(angle), 0.0);
-    }
-    return cloud;
-  }
-};
-
-/// This thread's processor time, ms: the machine may be shared.
-double now() {
-  timespec t{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-  return 1e3 * static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_nsec);
+  return cloud;
 }
+
+double now() { return processor_time(CLOCK_THREAD_CPUTIME_ID); }
 
 /// LaMa's own defaults, with the way and turn after which a scan is used; `each_scan` uses one that did not move, too.
 template <class Options>
@@ -100,7 +66,7 @@ struct Slam {
   Slam(bool each_scan, std::uint32_t) : slam{waiting<lama::Slam2D::Options>(each_scan, 0.01, 0.25)} {}
 
   bool update(const Scan& scan) {
-    return slam.enoughMotion(scan.odometry) && slam.update(scan.points(), scan.odometry, 0.0);
+    return slam.enoughMotion(pose2d(scan.odometry)) && slam.update(points(scan), pose2d(scan.odometry), 0.0);
   }
   Pose2D pose() const { return slam.getPose(); }
   std::vector<Pose2D> finish() { return {}; }
@@ -118,7 +84,7 @@ struct Particles {
     return options;
   }
 
-  bool update(const Scan& scan) { return slam.update(scan.points(), scan.odometry, 0.0); }
+  bool update(const Scan& scan) { return slam.update(points(scan), pose2d(scan.odometry), 0.0); }
   Pose2D pose() const { return slam.getPose(); }
   std::vector<Pose2D> finish() {
     const auto& poses = slam.getParticles()[slam.getBestParticleIdx()].poses;
@@ -144,7 +110,7 @@ struct Graph {
   }
 
   bool update(const Scan& scan) {
-    if (!slam.enoughMotion(scan.odometry) || !slam.update(scan.points(), scan.odometry, 0.0)) return false;
+    if (!slam.enoughMotion(pose2d(scan.odometry)) || !slam.update(points(scan), pose2d(scan.odometry), 0.0)) return false;
     updates.emplace_back(slam.key_poses.size() - 1, slam.key_poses.back().original - slam.slam->getPose());
     return true;
   }
@@ -158,7 +124,7 @@ struct Graph {
 };
 
 void write(const Pose2D& pose, double ms, bool updated) {
-  std::cout << pose.x() << ' ' << pose.y() << ' ' << pose.rotation() << ' ' << ms << ' ' << updated << '\n';
+  ::write(std::cout, {pose.x(), pose.y(), pose.rotation()}, ms, updated);
 }
 
 template <class Method>
@@ -174,11 +140,11 @@ void run(bool each_scan, std::uint32_t seed) {
     const bool updated = method.update(scan);
     if (updated) {
       last = method.pose();
-      updated_at = scan.odometry;
+      updated_at = pose2d(scan.odometry);
       ++updates;
     }
     const double took = now() - begin;
-    scans.emplace_back(updates, updated_at - scan.odometry);
+    scans.emplace_back(updates, updated_at - pose2d(scan.odometry));
     write(last + scans.back().second, took, updated);
   }
   const double begin = now();
