@@ -59,6 +59,7 @@
 //! | `settings` | what can be tuned? |
 
 mod back_end;
+mod carried;
 mod closure;
 mod doubt;
 mod drawing;

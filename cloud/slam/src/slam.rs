@@ -8,11 +8,11 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::sensors::Fix;
 use zenav_scan_matching::{
-    FieldSettings, LikelihoodField, OdometryFilter, Prior, Refinable, Refined, Window, floored, judge, points, search,
-    turned,
+    LikelihoodField, OdometryFilter, Prior, Refinable, Refined, Window, floored, judge, points, search, turned,
 };
 
 use crate::back_end::BackEnd;
+use crate::carried::LastSeen;
 use crate::closure::close;
 use crate::doubt::Doubt;
 use crate::finish;
@@ -32,19 +32,6 @@ const EVIDENCE: f64 = 1.5;
 /// Beyond this way and turn from the last node, m and rad, a badly fitting scan does not wait for another: the scans of some logs are a
 /// metre apart, and past a corner the next ones see nothing of the map.
 const LONG: (f64, f64) = (0.75, 0.75);
-/// Two scans at most this long and this far apart, s, m and rad, see mostly the same, unless the robot was carried between them.
-const CONTINUOUS: (f64, f64, f64) = (0.5, 0.3, 0.3);
-/// The robot was carried if a smaller share of a scan lies at what the last one saw, ...
-const SEEN_BEFORE: f64 = 0.5;
-/// ... a larger share of its beams goes through that, since people who step in front of the robot only hide it, ...
-const BEYOND: f64 = 0.05;
-/// ... and where it matches the last one best, a smaller share lies at what that one saw: wheels may have slipped.
-const SEEN_IF_MATCHED: f64 = 0.7;
-/// Cells and standard deviation of what the last scan saw, m: beams far away are as far apart, and people move on a little.
-const LAST_SEEN: FieldSettings = FieldSettings {
-    resolution: 0.05,
-    sigma: 0.15,
-};
 /// Upper bound on how unlikely a correction of odometry is (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
 
@@ -72,10 +59,7 @@ pub struct Slam {
     pub(crate) older: Option<Box<Older>>,
     /// Time, s, and odometry of the last scan.
     pub(crate) last: Option<(f64, Pose2)>,
-    /// Points of that scan in the frame of its base.
-    pub(crate) last_seen: Vec<Point2<f64>>,
-    /// What the scan before the present one saw, in the frame of the present base by odometry; empty if the two are too far apart.
-    pub(crate) seen_before: Vec<Point2<f64>>,
+    pub(crate) last_seen: LastSeen,
     pub(crate) last_node_odometry: Pose2,
     pub(crate) odometry: OdometryFilter,
     /// Whether odometry restarts with the next scan.
@@ -130,8 +114,7 @@ impl Slam {
             sessions: vec![Session::default()],
             older: None,
             last: None,
-            last_seen: Vec::new(),
-            seen_before: Vec::new(),
+            last_seen: LastSeen::default(),
             last_node_odometry: Pose2::IDENTITY,
             odometry: OdometryFilter::UNSEEN,
             is_interrupted: false,
@@ -246,7 +229,7 @@ impl Slam {
         {
             self.last_node_odometry = odometry * before.inverse() * self.last_node_odometry;
             self.doubt_place();
-            self.last_seen.clear();
+            self.last_seen.forget();
             // The stamp at which its poses were to be adopted may never come: the robot's clock may have begun anew.
             if self.adopts_at.is_some() {
                 self.drop_solve();
@@ -262,7 +245,7 @@ impl Slam {
         let step = odometry_before.inverse() * odometry;
         let seen = on_grid(points(scan, step, stamp - before, &self.settings.scan));
         self.last = Some((stamp, odometry));
-        self.note_seen(stamp - before, step, &seen);
+        self.last_seen.take(stamp - before, step, &seen);
         if self.scans.is_empty() {
             return self.begin(stamp, odometry, seen, scan.base_from_laser.position());
         }
@@ -294,35 +277,10 @@ impl Slam {
         Ok(effects)
     }
 
-    /// Keeps what the present scan sees for the next one, and what the last one saw for the present one.
-    fn note_seen(&mut self, secs: f64, step: Pose2, seen: &[Point2<f64>]) {
-        let (longest, far, turn) = CONTINUOUS;
-        self.seen_before = std::mem::replace(&mut self.last_seen, seen.to_vec());
-        if secs > longest || step.x.hypot(step.y) > far || step.yaw.abs() > turn {
-            self.seen_before.clear();
-        }
-        let back = step.inverse();
-        for point in &mut self.seen_before {
-            *point = back.transform_point(*point);
-        }
-    }
-
-    /// Whether a scan shows other surroundings than the one a moment before, neither where odometry leads nor matched to it, since wheels
-    /// slip: the robot was carried between them.
+    /// Whether the robot was carried between the present scan and the one before.
     fn is_carried(&self, laser: Point2<f64>, seen: &[Point2<f64>]) -> bool {
-        if !self.doubt.heeds(seen.len().min(self.seen_before.len())) {
-            return false;
-        }
-        let mut before = LikelihoodField::new(&LAST_SEEN);
-        before.insert(Pose2::IDENTITY, &self.seen_before);
-        let judged = |at: Pose2| judge(&before, laser, seen, at, &self.settings.verdict);
-        let by_odometry = judged(Pose2::IDENTITY);
-        if by_odometry.explained >= SEEN_BEFORE || by_odometry.through_walls <= BEYOND {
-            return false;
-        }
-        let scan = Refinable::seen_from(laser, seen);
-        let matched = scan.refine(&before, Pose2::IDENTITY, None, &self.settings.refine);
-        judged(matched.pose).explained < SEEN_IF_MATCHED
+        self.doubt.heeds(seen.len().min(self.last_seen.points_before()))
+            && self.last_seen.is_elsewhere(laser, seen, &self.settings)
     }
 
     /// Widens the search for the robot beyond the error of odometry, which does not explain how it got there.

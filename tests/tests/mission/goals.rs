@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use nalgebra::Point2;
+use zenav_mission::{Client, Inputs};
 use zenav_protocol::messages::{
     Annotations, GoalPhase, GoalPoint, GoalRequest, GoalsRequest, InfoRequest, OnBusy, Refusal, Zone, ZoneRule,
 };
@@ -10,6 +11,23 @@ use zenav_protocol::topics::{MissionReply, MissionRequest};
 use zenav_space::Zones;
 
 use super::rig::{Rig, cancel, room, to};
+
+#[test]
+fn a_step_is_brief_while_no_goal_is_open_and_nobody_asks_for_anything() {
+    let mut rig = Rig::new();
+    rig.run(1.0);
+    let is_brief = |rig: &Rig, inputs: &Inputs| rig.stage.robots[0].mission.as_ref().unwrap().is_brief(inputs);
+    let nothing = Inputs::default();
+    let asked = Inputs {
+        requests: vec![(Client(1), MissionRequest::Info(InfoRequest {}))],
+        ..Inputs::default()
+    };
+    assert!(is_brief(&rig, &nothing) && !is_brief(&rig, &asked));
+    rig.submit(to(2.0, 0.0, "there")).unwrap();
+    assert!(!is_brief(&rig, &nothing));
+    rig.success_of("there", 30.0);
+    assert!(is_brief(&rig, &nothing));
+}
 
 #[test]
 fn what_is_no_goal_is_answered_with_what_was_expected() {
