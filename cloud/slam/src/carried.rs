@@ -14,8 +14,10 @@ const CONTINUOUS: (f64, f64, f64) = (0.5, 0.3, 0.3);
 const SEEN_BEFORE: f64 = 0.5;
 /// ... a larger share of its beams goes through that, ...
 const BEYOND: f64 = 0.05;
-/// ... and where it matches the last one best, a smaller share lies at what that one saw: wheels may have slipped.
+/// ... and where it matches the last one best, a smaller share lies at what that one saw, ...
 const SEEN_IF_MATCHED: f64 = 0.7;
+/// ... or that is farther from where odometry leads than wheels slip in between, m and rad.
+const SLIPPED: (f64, f64) = (0.4, 0.3);
 /// Cells and standard deviation of what the last scan saw, m: beams far away are as far apart, and people move on a little.
 const LAST_SEEN: FieldSettings = FieldSettings {
     resolution: 0.05,
@@ -67,6 +69,7 @@ impl LastSeen {
         }
         let scan = Refinable::seen_from(laser, seen);
         let matched = scan.refine(&before, Pose2::IDENTITY, None, &settings.refine);
-        judged(matched.pose).explained < SEEN_IF_MATCHED
+        let (slip, turn) = (matched.pose.position().coords.norm(), matched.pose.yaw.abs());
+        slip > SLIPPED.0 || turn > SLIPPED.1 || judged(matched.pose).explained < SEEN_IF_MATCHED
     }
 }

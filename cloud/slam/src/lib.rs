@@ -42,8 +42,10 @@
 //! | file | answers |
 //! |---|---|
 //! | `order` | in which order were the scans of a log driven? |
-//! | `slam` | where is the robot? |
+//! | `slam` | what does the map hold, and how is a scan taken in? |
 //! | `step` | what did a scan do to the map? |
+//! | `front_end` | where is the robot, and does the map take the scan in? |
+//! | `carried` | was the robot carried between two scans? |
 //! | `doubt` | is the robot where the map says, elsewhere, or has the world changed? |
 //! | `submap` | what does a short stretch of the drive look like? |
 //! | `closure` | was the robot here before? |
@@ -66,6 +68,7 @@ mod drawing;
 mod drift;
 mod finish;
 mod fixes;
+mod front_end;
 mod joining;
 mod metric;
 mod order;
