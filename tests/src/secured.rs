@@ -16,6 +16,30 @@ const COMMAND: Duration = Duration::from_secs(90);
 /// Longest wait for a session.
 const JOIN: Duration = Duration::from_secs(20);
 
+/// Creates the keys of a fleet with these members, in `fleet-keys` of a folder.
+///
+/// # Errors
+/// What `zenav keys` says when it fails.
+pub fn issue(binary: &Path, folder: &Path, members: &[&str]) -> Result<(), String> {
+    keys(binary, folder, &["init"])?;
+    members
+        .iter()
+        .try_for_each(|member| keys(binary, folder, &["issue", member]))
+}
+
+fn keys(binary: &Path, folder: &Path, arguments: &[&str]) -> Result<(), String> {
+    let output = run(binary, &[&["keys"], arguments].concat(), folder, COMMAND);
+    let why = String::from_utf8_lossy(&output.stderr);
+    let failed = || format!("zenav keys {arguments:?}: {why}");
+    output.status.success().then_some(()).ok_or_else(failed)
+}
+
+/// Folder of a member's identity, from the folder of the keys.
+#[must_use]
+pub fn identity(folder: &Path, member: &str) -> PathBuf {
+    folder.join("fleet-keys/issued").join(member)
+}
+
 /// Keys, endpoints and files of one fleet.
 #[derive(Debug)]
 pub struct SecuredFleet {
@@ -45,10 +69,7 @@ impl SecuredFleet {
             router: free_endpoint().replace("tcp/", "quic/"),
             edge: free_endpoint().replace("tcp/", "quic/"),
         };
-        fleet.keys(&["init"]);
-        for member in members {
-            fleet.keys(&["issue", member]);
-        }
+        issue(&fleet.binary, fleet.folder(), members).expect("keys");
         fleet
     }
 
@@ -72,18 +93,13 @@ impl SecuredFleet {
     /// # Panics
     /// When it fails.
     pub fn keys(&self, arguments: &[&str]) {
-        let output = self.zenav(&[&["keys"], arguments].concat());
-        assert!(
-            output.status.success(),
-            "zenav keys {arguments:?}: {}",
-            String::from_utf8_lossy(&output.stderr)
-        );
+        keys(&self.binary, self.folder(), arguments).expect("keys");
     }
 
     /// Folder of a member's identity.
     #[must_use]
     pub fn identity(&self, member: &str) -> PathBuf {
-        self.folder().join("fleet-keys/issued").join(member)
+        identity(self.folder(), member)
     }
 
     fn start(&self, member: &str, arguments: &[&str]) -> Process {

@@ -8,14 +8,21 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Resource, Rlimit};
 use tempfile::TempDir;
-use zenav_protocol::bus::{Bus, BusConfig};
+use zenav_protocol::bus::{Bus, BusConfig, Security};
 use zenav_protocol::messages::LostPolicy;
 
 use super::OWN_NETWORK;
 use super::rows::{Fault, Line, PartKind, Place, Row};
 use crate::deployment::ROBOT;
 use crate::process::{Process, free_endpoint, words};
+use crate::secured;
 use crate::usage::memory;
+
+/// The members of a fleet with identities: router, parts of the cloud, robot, and this process.
+const ROUTER: &str = "router.site";
+const SERVICE: &str = "service.site";
+const EDGE: &str = "robot.tiago";
+const DESK: &str = "operator.desk";
 
 /// Longest wait for a part to accept a session, wall time.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -36,6 +43,7 @@ pub struct Rig {
     cut: bool,
     /// The row's fault; its part is started so that its clock can be stepped or its disk filled.
     fault: Fault,
+    has_identities: bool,
     twin: Option<Process>,
 }
 
@@ -55,9 +63,16 @@ impl Rig {
     /// Starts the parts of a row in an order.
     ///
     /// # Errors
-    /// When a file cannot be written or the network cannot be impaired.
+    /// When a file cannot be written, keys cannot be made or the network cannot be impaired.
     pub fn start(binary: PathBuf, row: &Row, order: [PartKind; 5]) -> Result<Self, String> {
         let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+        if row.has_identities {
+            secured::issue(&binary, folder.path(), &[ROUTER, SERVICE, EDGE, DESK])?;
+        }
+        let free_endpoint = || match row.has_identities {
+            true => free_endpoint().replace("tcp/", "quic/"),
+            false => free_endpoint(),
+        };
         let mut rig = Self {
             binary,
             folder,
@@ -69,6 +84,7 @@ impl Rig {
             lossy: None,
             cut: false,
             fault: row.fault,
+            has_identities: row.has_identities,
             twin: None,
         };
         if matches!(row.fault, Fault::Clock(..)) && !Path::new(FAKETIME).exists() {
@@ -83,6 +99,12 @@ impl Rig {
             rig.parts.push((part, process));
         }
         Ok(rig)
+    }
+
+    /// Folder of a member's identity, if the parts have identities.
+    fn identity(&self, member: &str) -> Option<PathBuf> {
+        self.has_identities
+            .then(|| secured::identity(self.folder.path(), member))
     }
 
     fn write_deployment(&self, row: &Row) -> std::io::Result<()> {
@@ -101,10 +123,13 @@ impl Rig {
         let Self {
             router, line, robot, ..
         } = self;
-        for (name, connect) in [("cloud.toml", router), ("edge.toml", line)] {
+        for (name, member, connect) in [("cloud.toml", SERVICE, router), ("edge.toml", EDGE, line)] {
+            let identity = self.identity(member);
+            let security = identity.map(|folder| format!("[security]\nidentity = '{}'\n", folder.display()));
+            let security = security.unwrap_or_default();
             let text = format!(
                 "[bus]\nconnect = \"{connect}\"\n[simulation]\nworld = '{world}'\n[robots.{ROBOT}]\nmodel = \"tiago\"\nlisten = \"{robot}\"\n\
-                 on_lost = \"{on_lost}\"\n"
+                 on_lost = \"{on_lost}\"\n{security}"
             );
             std::fs::write(self.folder.path().join(name), text)?;
         }
@@ -113,7 +138,7 @@ impl Rig {
 
     fn impair(&mut self, line: Line) -> Result<(), String> {
         let mut arguments = vec!["netem", "--listen", &self.line, "--to", &self.router];
-        let (delay, rate, stall);
+        let (delay, rate, stall, loss);
         match line {
             Line::Good if own_network() => return Ok(()),
             Line::Loss(percent) if own_network() => {
@@ -133,6 +158,10 @@ impl Rig {
                 (rate, delay) = (format!("{kbit}kbit"), format!("{}us", 500 * millis));
                 arguments.extend(["--rate", &rate, "--delay", &delay]);
             }
+            Line::Loss(percent) if self.has_identities => {
+                loss = format!("{percent}%");
+                arguments.extend(["--loss", &loss]);
+            }
             Line::Loss(percent) => {
                 // A lost segment holds up later ones for a retransmission; some 50 segments pass in a second.
                 stall = format!("200ms/{}ms", 2000 / percent.max(1));
@@ -143,12 +172,13 @@ impl Rig {
         Ok(())
     }
 
-    /// Drops segments of the robot's link in the kernel, both ways: a share of them, or all.
+    /// Drops segments or datagrams of the robot's link in the kernel, both ways: a share of them, or all.
     fn drop_segments(&self, how: &str, percent: Option<u32>) -> Result<(), String> {
         let port = self.line.rsplit(':').next().unwrap_or_default();
+        let protocol = if self.has_identities { "udp" } else { "tcp" };
         for way in ["--dport", "--sport"] {
             let mut command = Command::new("iptables");
-            command.args(["-w", how, "INPUT", "-p", "tcp", way, port]);
+            command.args(["-w", how, "INPUT", "-p", protocol, way, port]);
             if let Some(percent) = percent {
                 let share = format!("{:.2}", f64::from(percent) / 100.0);
                 command.args(["-m", "statistic", "--mode", "random", "--probability", &share]);
@@ -192,10 +222,15 @@ impl Rig {
         let cloud = |service| cloud_in(service, "cloud");
         match part {
             // Without a proxy the robot has its own endpoint at the router, so that only its link is impaired.
-            PartKind::Router if self.proxy.is_none() => {
-                start(&["router", "--listen", &self.router, "--listen", &self.line])
+            PartKind::Router => {
+                let mut arguments = vec!["router", "--listen", &self.router];
+                if self.proxy.is_none() {
+                    arguments.extend(["--listen", &self.line]);
+                }
+                let identity = self.identity(ROUTER).map(|folder| folder.display().to_string());
+                arguments.extend(identity.iter().flat_map(|folder| ["--identity", folder]));
+                start(&arguments)
             }
-            PartKind::Router => start(&["router", "--listen", &self.router]),
             PartKind::Edge => start(&["edge", "--deployment", "edge.toml", "--data", "edge"]),
             PartKind::Mapping => cloud("mapping"),
             PartKind::Motion => cloud("motion"),
@@ -324,8 +359,14 @@ impl Rig {
     /// # Errors
     /// When a session does not open in time.
     pub async fn join(&self) -> Result<(Bus, Bus), String> {
+        let identity = self.identity(DESK);
+        let security = Security::of(identity.as_deref(), false).map_err(|error| error.to_string())?;
         let open = async |name: &'static str, endpoint: &str| {
-            let opened = tokio::time::timeout(PATIENCE, Bus::open(BusConfig::service(name, endpoint))).await;
+            let config = BusConfig {
+                security: security.clone(),
+                ..BusConfig::service(name, endpoint)
+            };
+            let opened = tokio::time::timeout(PATIENCE, Bus::open(config)).await;
             let opened = opened.map_err(|_| format!("nobody listens on {endpoint}"))?;
             opened.map_err(|error| error.to_string())
         };

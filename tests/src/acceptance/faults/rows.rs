@@ -114,6 +114,8 @@ pub struct Row {
     pub orders: Vec<[PartKind; 5]>,
     /// Whether a second mapper follows the first one. A fault of the mapper then hits the one that leads.
     pub has_copy: bool,
+    /// Whether the parts have identities: their links are encrypted, over QUIC.
+    pub has_identities: bool,
 }
 
 impl Row {
@@ -132,6 +134,7 @@ impl Row {
             missions: 2,
             orders: vec![PARTS],
             has_copy: false,
+            has_identities: false,
         }
     }
 
@@ -172,13 +175,23 @@ impl Row {
     /// Name of the row whose missions those of this one are compared with, if their time is limited.
     #[must_use]
     pub fn compared_with(&self) -> Option<String> {
-        self.most_slowdown().map(|_| Self::new(self.place, NO_FAULT).name)
+        let base = Self::new(self.place, NO_FAULT);
+        let base = if self.has_identities { base.identified() } else { base };
+        self.most_slowdown().map(|_| base.name)
     }
 
     fn copied(self) -> Self {
         Self {
             name: format!("{}, with a copy", self.name),
             has_copy: true,
+            ..self
+        }
+    }
+
+    fn identified(self) -> Self {
+        Self {
+            name: format!("{}, mTLS", self.name),
+            has_identities: true,
             ..self
         }
     }
@@ -257,7 +270,11 @@ pub fn all() -> Vec<Row> {
     let is_order = |row: &Row| row.orders.len() == 1 && row.orders != [PARTS];
     let has_fault = |row: &&Row| row.line != Line::Good || row.fault != Fault::None || is_order(row);
     let braking: Vec<Row> = rows.iter().filter(has_fault).cloned().map(Row::braking).collect();
+    // What differs between the two kinds of links is how they bear delay, loss, narrowness and cuts.
+    let is_of_link = |row: &&Row| row.orders == [PARTS] && matches!(row.fault, Fault::None | Fault::Cut(_));
+    let identified: Vec<Row> = rows.iter().filter(is_of_link).cloned().map(Row::identified).collect();
     rows.extend(braking);
+    rows.extend(identified);
     rows
 }
 
@@ -340,7 +357,11 @@ mod tests {
     fn a_name_selects_its_row_alone_and_a_part_of_one_all_that_contain_it() {
         assert_eq!(selected("depot: loss 5 %"), ["depot: loss 5 %"]);
         assert_eq!(selected("kitchen: flood for 5 s"), ["kitchen: flood for 5 s"]);
-        assert_eq!(selected("loss 5 %").len(), 4, "two worlds, two policies");
+        assert_eq!(
+            selected("loss 5 %").len(),
+            6,
+            "two worlds, two policies; and with identities"
+        );
         assert_eq!(selected("").len(), all().len());
     }
 
@@ -348,6 +369,18 @@ mod tests {
     fn a_row_whose_slowdown_is_limited_brings_the_one_that_it_is_compared_with() {
         let name = "kitchen: round trip 1000 ms";
         assert_eq!(selected(name), ["kitchen: no fault", name]);
+        let name = "kitchen: round trip 1000 ms, mTLS";
+        assert_eq!(selected(name), ["kitchen: no fault, mTLS", name]);
+    }
+
+    #[test]
+    fn each_condition_and_cut_of_a_link_is_also_there_with_identities() {
+        for place in ["depot", "kitchen"] {
+            // No fault, six round trips, two losses, two rates and four cuts.
+            let with = selected("mTLS").into_iter().filter(|name| name.starts_with(place));
+            assert_eq!(with.count(), 15);
+        }
+        assert!(all().iter().all(|row| row.has_identities == row.name.contains("mTLS")));
     }
 
     #[test]
