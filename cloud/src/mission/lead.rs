@@ -36,7 +36,7 @@ const BEAT: Duration = Duration::from_millis(100);
 const ROLL_CALL: Duration = Duration::from_millis(300);
 /// Time after which mapping that was not heard is silent: many times the interval of its beats, and a late link.
 const MAPPING_SILENT: Duration = Duration::from_secs(5);
-/// Longest time between two checks whether this process was suspended.
+/// Longest time between two checks whether this process was suspended, if a standby may have led meanwhile.
 const PULSE: Duration = Duration::from_millis(200);
 /// Longest time between two steps, while the robot's clock stands still or is slow.
 const STILL: Duration = Duration::from_secs(1);
@@ -63,9 +63,10 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
     loop {
         let mut inputs = Inputs::default();
         let mut is_due = true;
+        let pulse = if shell.standbys.are_any() { PULSE } else { STILL };
         tokio::select! {
             // The robot's clock may stop; this one does not.
-            () = tokio::time::sleep_until(last + PULSE) => is_due = stepped.elapsed() >= STILL,
+            () = tokio::time::sleep_until(last + pulse) => is_due = stepped.elapsed() >= STILL,
             () = &mut ending => {
                 if shell.standbys.is_held_up(last) {
                     return Ok(Turn::Over);

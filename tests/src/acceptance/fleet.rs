@@ -46,8 +46,8 @@ const READY: Duration = Duration::from_secs(60);
 const LEASE: Duration = Duration::from_secs(1);
 /// Simulated time for maps and first goals before anything is measured.
 const SETTLING: Duration = Duration::from_secs(10);
-/// Time between the first goals of two robots.
-const STAGGER: Duration = Duration::from_millis(70);
+/// Simulated time within which all robots get their first goals, evenly.
+const FIRST_GOALS: Duration = Duration::from_secs(7);
 /// Every robot's map: 12.8 m square, free.
 const MAP: GridSpec = GridSpec {
     origin: Point2::new(-6.4, -6.4),
@@ -94,6 +94,7 @@ struct FakeRobot {
     poses: Publisher<PoseEstimate>,
     events: Publisher<Event>,
     told: u64,
+    is_mapped: bool,
     maps: (Publisher<MapInfo>, Publisher<MapPatch>),
 }
 
@@ -114,6 +115,7 @@ impl FakeRobot {
             poses: bus.publisher(&topics::POSE, &chunks)?,
             events: bus.publisher(&topics::EVENT, &chunks)?,
             told: 0,
+            is_mapped: false,
             maps: (
                 bus.publisher(&topics::MAP_INFO, &chunks)?,
                 bus.publisher(&topics::MAP_PATCH, &chunks)?,
@@ -376,7 +378,8 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
                     }
                     None if led == robots => {
                         for (turn, fake) in (0_u32..).zip(fakes.values_mut()) {
-                            submit(fake, (turn * STAGGER).div_f64(speed));
+                            let share = f64::from(turn) / robots as f64;
+                            submit(fake, FIRST_GOALS.mul_f64(share).div_f64(speed));
                         }
                         settling = Some(Instant::now());
                     }
@@ -410,6 +413,9 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
                             boot_id: "boot".to_owned(),
                             round_trip_secs: None,
                         });
+                        if std::mem::replace(&mut fake.is_mapped, true) {
+                            continue;
+                        }
                         fake.tell_map(now());
                     }
                     Err(refusal) => request.refuse(&refusal),
