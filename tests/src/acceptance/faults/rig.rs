@@ -18,10 +18,11 @@ use crate::process::{Process, free_endpoint, words};
 use crate::secured;
 use crate::usage::memory;
 
-/// The members of a fleet with identities: router, parts of the cloud, robot, and this process.
+/// The members of a fleet with identities: router, parts of the cloud, robot, and this process. The robot has a router's, because its
+/// simulation gives everybody the time.
 const ROUTER: &str = "router.site";
 const SERVICE: &str = "service.site";
-const EDGE: &str = "robot.tiago";
+const EDGE: &str = "router.tiago";
 const DESK: &str = "operator.desk";
 
 /// Longest wait for a part to accept a session, wall time.
