@@ -73,3 +73,46 @@ impl LastSeen {
         slip > SLIPPED.0 || turn > SLIPPED.1 || judged(matched.pose).explained < SEEN_IF_MATCHED
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Walls of a room of 5 m by 3.4 m with a niche, as seen from a pose in it.
+    fn seen_from(pose: Pose2) -> Vec<Point2<f64>> {
+        let corners = [
+            (-2.0, -1.4),
+            (3.0, -1.4),
+            (3.0, 0.2),
+            (3.6, 0.2),
+            (3.6, 1.0),
+            (3.0, 1.0),
+            (3.0, 2.0),
+            (-2.0, 2.0),
+            (-2.0, -1.4),
+        ];
+        let sides = corners.windows(2).flat_map(|side| {
+            let (from, to) = (Point2::new(side[0].0, side[0].1), Point2::new(side[1].0, side[1].1));
+            let count = ((to - from).norm() / 0.03) as u32;
+            (0..count).map(move |nth| from + (to - from) * f64::from(nth) / f64::from(count))
+        });
+        sides.map(|point| pose.inverse().transform_point(point)).collect()
+    }
+
+    /// Whether a robot counts as carried that its odometry holds to stand still, while it got from the origin to a pose.
+    fn is_carried_to(pose: Pose2) -> bool {
+        let mut last_seen = LastSeen::default();
+        let there = seen_from(pose);
+        last_seen.take(0.1, Pose2::IDENTITY, &seen_from(Pose2::IDENTITY));
+        last_seen.take(0.1, Pose2::IDENTITY, &there);
+        last_seen.is_elsewhere(Point2::origin(), &there, &SlamSettings::default())
+    }
+
+    #[test]
+    fn wheels_slip_by_decimetres_and_whoever_is_farther_off_was_carried_though_the_scan_matches_there() {
+        assert!(!is_carried_to(Pose2::new(0.25, -0.2, 0.1)));
+        for far in [Pose2::new(0.35, 0.3, 0.0), Pose2::new(0.2, -0.2, 0.35)] {
+            assert!(is_carried_to(far), "{far:?}");
+        }
+    }
+}

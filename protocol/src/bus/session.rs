@@ -62,6 +62,8 @@ const MAX_MESSAGE: usize = 128 * 1024 * 1024;
 const MAX_RETRY_MS: u64 = 400;
 /// Shortest pause between two attempts to connect, ms.
 const MIN_RETRY_MS: u64 = 200;
+/// Longest time until the endpoint of a closed session is free again: over QUIC whoever is linked to it takes leave first.
+const FREED: Duration = Duration::from_secs(15);
 /// Time limit for closing a session.
 pub(super) const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -219,6 +221,7 @@ impl Bus {
         let mut wait_ms = MIN_RETRY_MS;
         let limits = config.handshakes(mode);
         let (mut limit, mut was_doubted) = (0, false);
+        let mut closed = None::<Instant>;
         loop {
             let handshake = limits.get(limit).copied().unwrap_or(SLOW_MS);
             // A client that links at once needs no probe.
@@ -239,6 +242,7 @@ impl Bus {
                         && !is_linked(&session, Duration::from_millis(handshake) + SHOWS).await =>
                 {
                     let _ = tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await;
+                    closed = Some(Instant::now());
                     limit += 1;
                     tracing::info!(
                         part = config.name,
@@ -249,6 +253,7 @@ impl Bus {
                 // Not the link was slow, but this machine or the router's, for a moment.
                 Ok(session) if limit > 0 && !was_doubted && is_linked_since(began, &session, limits[0]).await => {
                     let _ = tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await;
+                    closed = Some(Instant::now());
                     (limit, was_doubted) = (0, true);
                 }
                 Ok(session) => {
@@ -262,6 +267,9 @@ impl Bus {
                         name: config.name.into(),
                         readiness,
                     });
+                }
+                Err(_) if mode == WhatAmI::Router && closed.is_some_and(|closed| closed.elapsed() < FREED) => {
+                    sleep(Duration::from_millis(MIN_RETRY_MS)).await;
                 }
                 Err(error) if mode == WhatAmI::Router => {
                     return Err(BusError::CannotListen {
