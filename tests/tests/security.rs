@@ -12,7 +12,7 @@ use zenav_protocol::messages::{EdgeState, InfoRequest, Mode, StopReply, StopRequ
 use zenav_protocol::topics;
 use zenav_tests::http;
 use zenav_tests::observer::{Observer, assert_rests, is_rest};
-use zenav_tests::process::{Process, free_endpoint, run, words};
+use zenav_tests::process::{Process, free_endpoint, run};
 use zenav_tests::secured::SecuredFleet;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
@@ -464,14 +464,15 @@ async fn a_robot_that_tries_its_slow_link_with_more_patience_gets_its_endpoint_b
     let fleet = SecuredFleet::new(ZENAV, 1.0, &["router.site1", "router.tiago", "operator.anna"]);
     let _router = fleet.start_router("router.site1");
     let slow = free_endpoint().replace("tcp/", "quic/");
-    let line = format!("netem --listen {slow} --to {} --delay 600ms", fleet.router);
-    let _slow = Process::start(ZENAV, &words(&line), fleet.folder());
+    let link = ["--listen", &slow, "--to", &fleet.router, "--delay", "600ms"];
+    let _slow = Process::start(ZENAV, &[&["netem"], &link[..]].concat(), fleet.folder());
     let identity = fleet.identity("router.tiago").display().to_string();
-    let line = format!(
-        "edge --connect {slow} --listen {} --identity {identity} --data edge",
-        fleet.edge
+    let ends = ["--connect", &slow, "--listen", &fleet.edge, "--identity", &identity];
+    let mut edge = Process::start(
+        ZENAV,
+        &[&["edge", "--data", "edge"], &ends[..]].concat(),
+        fleet.folder(),
     );
-    let mut edge = Process::start(ZENAV, &words(&line), fleet.folder());
     let anna = fleet.join("operator.anna", &fleet.edge).await;
     edge.until("the link is slow", LIMIT);
     edge.until("ready", LIMIT);

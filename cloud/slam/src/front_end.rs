@@ -388,9 +388,11 @@ fn unlikely(odometry: &Prior, pose: Pose2) -> f64 {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_fixtures::{robot, scan, sweep_in_room};
+    use zenav_protocol::messages::Scan;
     use zenav_protocol::settings::Settings;
 
     use super::*;
+    use crate::settings::SlamSettings;
 
     /// Distance between two scans, m.
     const STEP: f64 = 0.12;
