@@ -295,11 +295,15 @@ mod tests {
             missed,
             [
                 "kitchen: round trip 1000 ms",
-                "kitchen: round trip 1000 ms, policy `stop`"
+                "kitchen: round trip 1000 ms, policy `stop`",
+                "kitchen: round trip 1000 ms, mTLS",
             ]
         );
         let limited = found.iter().filter(|result| result.slowdown.is_some()).count();
-        assert_eq!(limited, 8, "two round trips, two worlds, two policies");
+        assert_eq!(
+            limited, 12,
+            "two round trips, two worlds, two policies; and with identities"
+        );
         assert!(limited < found.len());
     }
 }

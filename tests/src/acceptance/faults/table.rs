@@ -15,7 +15,7 @@ const LIMITS: &str = "The limits: every mission succeeds, no goal is lost, nothi
                       2 MiB.";
 
 /// What the rows do not show, and where it is tested.
-const ELSEWHERE: &str = "Parts are linked over plain TCP, with the profile `open`, and in rows with `mTLS` over QUIC, each with an identity. Parts with \
+const ELSEWHERE: &str = "Parts are linked over plain TCP, with the profile `open`; in rows with `mTLS` over QUIC, with identities. Parts with \
                          identities are killed, frozen and replaced by `acceptance compose` ([deployment](deployment.md#a-rolling-update)). A disk that turns read-only under goals \
                          and maps, and a store or a map that is torn, changed or another robot's, have no rows, because a mission that finds one \
                          rightly does not drive: [what happens when](faults.md#a-disk-is-full-or-read-only) names their tests.";
