@@ -370,8 +370,8 @@ impl Slam {
         self.back_end.weights()
     }
 
-    /// Which edges of the graph are matches of the finish, one for each edge. The other [closures](EdgeKind::Closure) are places that were
-    /// recognised on the way.
+    /// Which edges of the graph are matches of the finish, one for each edge. The other [closures](zenav_pose_graph::EdgeKind::Closure) are
+    /// places that were recognised on the way.
     #[must_use]
     pub fn rematches(&self) -> &[bool] {
         self.back_end.is_final()
