@@ -475,7 +475,7 @@ async fn a_robot_that_tries_its_slow_link_with_more_patience_gets_its_endpoint_b
     );
     let anna = fleet.join("operator.anna", &fleet.edge).await;
     edge.until("the link is slow", LIMIT);
-    edge.until("ready", LIMIT);
+    edge.until("ready part=\"edge", LIMIT);
     edge.assert_running();
     anna.close().await;
 }

@@ -16,8 +16,8 @@ const SEEN_BEFORE: f64 = 0.5;
 const BEYOND: f64 = 0.05;
 /// ... and where it matches the last one best, a smaller share lies at what that one saw, ...
 const SEEN_IF_MATCHED: f64 = 0.7;
-/// ... or that is farther from where odometry leads than wheels slip in between, m and rad.
-const SLIPPED: (f64, f64) = (0.4, 0.3);
+/// ... or the match is farther from where odometry leads than wheels slip between two scans, m and rad.
+const LARGEST_SLIP: (f64, f64) = (0.4, 0.3);
 /// Cells and standard deviation of what the last scan saw, m: beams far away are as far apart, and people move on a little.
 const LAST_SEEN: FieldSettings = FieldSettings {
     resolution: 0.05,
@@ -70,7 +70,7 @@ impl LastSeen {
         let scan = Refinable::seen_from(laser, seen);
         let matched = scan.refine(&before, Pose2::IDENTITY, None, &settings.refine);
         let (slip, turn) = (matched.pose.position().coords.norm(), matched.pose.yaw.abs());
-        slip > SLIPPED.0 || turn > SLIPPED.1 || judged(matched.pose).explained < SEEN_IF_MATCHED
+        slip > LARGEST_SLIP.0 || turn > LARGEST_SLIP.1 || judged(matched.pose).explained < SEEN_IF_MATCHED
     }
 }
 

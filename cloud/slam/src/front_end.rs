@@ -29,6 +29,7 @@ const LONG: (f64, f64) = (0.75, 0.75);
 const SLIPPED: f64 = 25.0;
 
 impl Slam {
+    /// Begins the map with its first scan.
     pub(crate) fn begin(
         &mut self,
         stamp: f64,
