@@ -8,11 +8,9 @@
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use serde::Serialize;
-use tokio::task::JoinHandle;
 use zenoh::bytes::ZBytes;
 use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
@@ -25,17 +23,14 @@ use zenoh::{Session, Wait};
 
 use super::flow::Departures;
 use super::inbox::Complaints;
+use super::repeat::{Numbered, Repeats, announced};
 use super::{Bus, BusError};
 use crate::codec::{self, CodecError, Encoding};
 use crate::topics::{Encode, Topic, Untyped};
 
-/// The sequence number of a key's last value is repeated after this time, and after twice, four times as long, …, so that a subscriber that
-/// lost the value requests it.
-const HEARTBEAT: Duration = Duration::from_millis(500);
-/// The last of these repetitions, in periods: after two minutes.
+/// The number of a key's last value is repeated 0.5, 1, 2, 4, … s after it, at last in this period, after two minutes. A router compares a
+/// message on a key that nobody declared with the keys of all robots, so these are few.
 const LAST_PERIOD: u32 = 256;
-/// Source ids of the keys: above those that a session assigns to its own entities.
-const FIRST_SOURCE: EntityId = 1 << 31;
 
 /// Publishes on the keys of a topic that match a pattern, and keeps the last values of the newest keys.
 pub struct KeyedPublisher<T> {
@@ -50,7 +45,6 @@ struct Outlet {
     kept: Arc<Mutex<Kept>>,
     failures: Complaints,
     flow: Departures,
-    heartbeat: JoinHandle<()>,
     _cache: Queryable<()>,
     _token: LivelinessToken,
 }
@@ -59,7 +53,7 @@ struct Outlet {
 struct Kept {
     values: VecDeque<Value>,
     most: usize,
-    next: EntityId,
+    ids: Arc<Repeats>,
 }
 
 /// The last value of a key.
@@ -82,12 +76,6 @@ impl<T> fmt::Debug for KeyedPublisher<T> {
         f.debug_struct("KeyedPublisher")
             .field("pattern", &self.outlet.topic.pattern)
             .finish_non_exhaustive()
-    }
-}
-
-impl Drop for Outlet {
-    fn drop(&mut self) {
-        self.heartbeat.abort();
     }
 }
 
@@ -114,11 +102,11 @@ impl Bus {
         let kept = Arc::new(Mutex::new(Kept {
             values: VecDeque::new(),
             most: most.max(1),
-            next: FIRST_SOURCE,
+            ids: Arc::clone(&self.repeats),
         }));
         let pattern = topic.key(chunks);
         let all = Self::key(format!("{pattern}/@adv/pub/{zid}/**"))?;
-        let token_key = Self::key(cache_key(&pattern, zid, FIRST_SOURCE - 1))?;
+        let token_key = Self::key(announced(&pattern, zid, self.repeats.id()))?;
         let answer = {
             let (kept, token_key, encoding) = (Arc::clone(&kept), token_key.clone(), topic.encoding);
             let elsewhere = tokio::runtime::Handle::current();
@@ -133,27 +121,14 @@ impl Bus {
         };
         let cache = self.declared(self.session.declare_queryable(all).callback(answer).wait())?;
         let token = self.declared(self.session.liveliness().declare_token(token_key).wait())?;
-        let heartbeat = tokio::spawn({
-            let (kept, session) = (Arc::clone(&kept), (*self.session).clone());
-            async move {
-                loop {
-                    tokio::time::sleep(HEARTBEAT).await;
-                    let news: Vec<Value> = lock(&kept).repeated().collect();
-                    for value in news {
-                        let number = zenoh_ext::z_serialize(&value.number);
-                        // A failure is harmless: the number is repeated again.
-                        let _ = session.put(value.cache_key, number).await;
-                    }
-                }
-            }
-        });
+        let source: Weak<Mutex<Kept>> = Arc::downgrade(&kept);
+        self.repeats.add(source);
         Ok(Outlet {
             session: (*self.session).clone(),
             topic,
             kept,
             failures: Complaints::default(),
             flow: Departures::new(self, topic.pattern),
-            heartbeat,
             _cache: cache,
             _token: token,
         })
@@ -213,13 +188,11 @@ impl Kept {
                 if self.values.len() == self.most {
                     self.values.pop_front();
                 }
-                let source = self.next;
-                self.next = source.checked_add(1).unwrap_or(FIRST_SOURCE);
-                (source, 0)
+                (self.ids.id(), 0)
             }
         };
         let value = Value {
-            cache_key: Bus::key(cache_key(key.as_str(), zid, source)).map_err(|error| error.to_string())?,
+            cache_key: Bus::key(announced(key.as_str(), zid, source)).map_err(|error| error.to_string())?,
             key,
             source,
             number,
@@ -252,6 +225,16 @@ impl Kept {
     }
 }
 
+impl Numbered for Mutex<Kept> {
+    fn advance(&self, session: &Session) {
+        let due: Vec<Value> = lock(self).repeated().collect();
+        for value in due {
+            let number = zenoh_ext::z_serialize(&value.number);
+            let _ = session.put(value.cache_key, number).wait();
+        }
+    }
+}
+
 /// Answers an advanced subscriber.
 fn answer(query: &Query, asked: &[Value], zid: ZenohId, encoding: Encoding) {
     for value in asked {
@@ -266,11 +249,6 @@ fn answer(query: &Query, asked: &[Value], zid: ZenohId, encoding: Encoding) {
             tracing::debug!(key = %value.key, %error, "its last value was asked for, and is not told");
         }
     }
-}
-
-/// The key of a source's cache, as advanced publishers declare it.
-fn cache_key(key: &str, zid: ZenohId, source: EntityId) -> String {
-    format!("{key}/@adv/pub/{zid}/{source}/_")
 }
 
 /// The sequence numbers that a subscriber lacks: `3..7`, both ends included; either end may be omitted.

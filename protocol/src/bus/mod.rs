@@ -44,6 +44,7 @@
 //! | `rights` | what this process may do itself: an [`Act`] that would be [`Denied`] |
 //! | `publish`, `subscribe` | topics: [`Publisher`], [`Latest`] value, [`Subscription`] to all values in order |
 //! | `keyed` | last values on many short-lived keys, from one declaration: [`KeyedPublisher`] |
+//! | `repeat` | last numbers, repeated so that a subscriber notices a lost last value |
 //! | `ask`, `serve` | requests with a deadline, and the [`Server`] that answers them |
 //! | `serve_part` | all asks of one component, as its core's own request type |
 //! | `about` | identity of a component, and where it runs |
@@ -80,6 +81,7 @@ mod probe;
 mod publish;
 mod rate;
 mod raw;
+mod repeat;
 mod rights;
 mod router;
 mod security;

@@ -8,9 +8,12 @@
 //! Repeated samples from a cache also block until there is room, whatever the topic's quality of service (Zenoh 1.10 gives a reply the
 //! quality of service of its request), and they do so on a receiving thread. So only few bulk samples are kept, and a process has more
 //! receiving threads than by default ([`threads`]).
+//!
+//! No message is "express": each of those takes a whole buffer of its queue, of which a link has two, and the third of a burst is dropped. So
+//! the heartbeats of a process with several missions would not all arrive. Others share a buffer, and an idle link sends them at once too.
 
 use std::fmt;
-use std::time::Duration;
+use std::sync::{Arc, Weak};
 
 use serde::Serialize;
 use zenav_observability::trace::Context;
@@ -21,12 +24,10 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 use super::flow::Departures;
 use super::inbox::Complaints;
+use super::repeat::{LastNumber, announced};
 use super::{Bus, BusError, threads};
 use crate::codec::{self, CodecError, Encoding};
 use crate::topics::{Encode, Qos, Topic, Untyped};
-
-/// Period at which an advanced publisher repeats the number of its last sample: the delay until the loss of a last sample is noticed.
-const HEARTBEAT: Duration = Duration::from_millis(500);
 
 /// Publishes on one key of a topic.
 pub struct Publisher<T> {
@@ -46,7 +47,7 @@ struct Outlet {
 
 pub(super) enum Carrier {
     Plain(zenoh::pubsub::Publisher<'static>),
-    Advanced(Box<AdvancedPublisher<'static>>),
+    Advanced(Box<AdvancedPublisher<'static>>, Arc<LastNumber>),
 }
 
 impl<T> fmt::Debug for Publisher<T> {
@@ -105,16 +106,21 @@ impl Bus {
             .declare_publisher(key_expr)
             .encoding(zenoh::bytes::Encoding::from(encoding.mime()))
             .congestion_control(congestion)
-            .priority(priority)
-            .express(qos == Qos::RealTime);
+            .priority(priority);
         Ok(match qos {
             Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
             Qos::Events { .. } | Qos::State => {
                 let advanced = plain
                     .cache(CacheConfig::default().max_samples(kept(qos)))
-                    .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT))
+                    .sample_miss_detection(MissDetectionConfig::default())
                     .publisher_detection();
-                Carrier::Advanced(Box::new(self.declared(advanced.wait())?))
+                let publisher = self.declared(advanced.wait())?;
+                let id = publisher.id();
+                let repeated = Self::key(announced(key, id.zid(), id.eid()))?;
+                let last = LastNumber::new(self.declared(self.session.declare_publisher(repeated).wait())?);
+                let source: Weak<LastNumber> = Arc::downgrade(&last);
+                self.repeats.add(source);
+                Carrier::Advanced(Box::new(publisher), last)
             }
         })
     }
@@ -125,6 +131,41 @@ pub(super) fn kept(qos: Qos) -> usize {
     match qos {
         Qos::Events { cache } => cache.max(1),
         Qos::State | Qos::Latest | Qos::RealTime => 1,
+    }
+}
+
+impl Carrier {
+    /// Publishes bytes; in the encoding of the publisher if there is no other.
+    pub(super) fn put(
+        &self,
+        bytes: Vec<u8>,
+        encoding: Option<zenoh::bytes::Encoding>,
+        attachment: Option<ZBytes>,
+    ) -> zenoh::Result<()> {
+        match self {
+            Self::Plain(publisher) => {
+                let encoding = encoding.unwrap_or_else(|| publisher.encoding().clone());
+                publisher.put(bytes).encoding(encoding).attachment(attachment).wait()
+            }
+            Self::Advanced(publisher, last) => {
+                let encoding = encoding.unwrap_or_else(|| publisher.encoding().clone());
+                let put = publisher.put(bytes).encoding(encoding).attachment(attachment).wait();
+                last.sent();
+                put
+            }
+        }
+    }
+
+    /// Publishes that the value is deleted.
+    pub(super) fn delete(&self) -> zenoh::Result<()> {
+        match self {
+            Self::Plain(publisher) => publisher.delete().wait(),
+            Self::Advanced(publisher, last) => {
+                let deleted = publisher.delete().wait();
+                last.sent();
+                deleted
+            }
+        }
     }
 }
 
@@ -160,10 +201,7 @@ impl Outlet {
     }
 
     fn put_bytes(&self, bytes: Vec<u8>, attachment: Option<ZBytes>) -> zenoh::Result<()> {
-        let put = || match &self.carrier {
-            Carrier::Plain(publisher) => publisher.put(bytes).attachment(attachment).wait(),
-            Carrier::Advanced(publisher) => publisher.put(bytes).attachment(attachment).wait(),
-        };
+        let put = || self.carrier.put(bytes, None, attachment);
         if self.encoding == Encoding::Cbor {
             threads::waiting_for_room(put)
         } else {
@@ -174,7 +212,7 @@ impl Outlet {
     fn may_be_heard(&self) -> bool {
         let status = match &self.carrier {
             Carrier::Plain(publisher) => publisher.matching_status().wait(),
-            Carrier::Advanced(publisher) => publisher.matching_status().wait(),
+            Carrier::Advanced(publisher, _) => publisher.matching_status().wait(),
         };
         status.map_or(true, |status| status.matching())
     }

@@ -10,6 +10,7 @@ use zenoh::{Session, Wait};
 
 use super::limiter::Pace;
 use super::link;
+use super::repeat::Repeats;
 use super::rights::Rights;
 use super::security::Security;
 use super::session::{
@@ -61,6 +62,7 @@ pub struct Router {
     readiness: Readiness,
     rights: Option<Arc<Rights>>,
     pace: Arc<Pace>,
+    repeats: Arc<Repeats>,
 }
 
 impl Router {
@@ -94,8 +96,10 @@ impl Router {
         let readiness = Readiness::new(&config.name);
         // Links to other routers come and go: the router works for its own components without them.
         readiness.started();
+        let session = Arc::new(session);
         let router = Self {
-            session: Arc::new(session),
+            repeats: Repeats::begin(&session),
+            session,
             readiness,
             rights: Rights::of(security),
             pace: Arc::default(),
@@ -120,6 +124,7 @@ impl Router {
             readiness: self.readiness.clone(),
             rights: self.rights.clone(),
             pace: Arc::clone(&self.pace),
+            repeats: Arc::clone(&self.repeats),
         }
     }
 

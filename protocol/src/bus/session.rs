@@ -22,6 +22,7 @@ use zenoh::{Config, Session};
 use super::limiter::Pace;
 use super::link::{self, SETTLING};
 use super::probe::Probing;
+use super::repeat::Repeats;
 use super::rights::{Denied, Rights};
 use super::security::{Security, certificates};
 
@@ -187,6 +188,8 @@ pub struct Bus {
     pub(super) rights: Option<Arc<Rights>>,
     /// The time by which rates are limited.
     pub(super) pace: Arc<Pace>,
+    /// The sources of the session whose last numbers are repeated.
+    pub(super) repeats: Arc<Repeats>,
 }
 
 impl Bus {
@@ -260,8 +263,10 @@ impl Bus {
                     if let Some(linked) = linked.filter(|_| is_part) {
                         link::watch_routers(&session, mode, &readiness, linked);
                     }
+                    let session = Arc::new(session);
                     return Ok(Self {
-                        session: Arc::new(session),
+                        repeats: Repeats::begin(&session),
+                        session,
                         rights: Rights::of(&config.security),
                         pace: Arc::default(),
                         name: config.name.into(),

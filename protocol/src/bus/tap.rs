@@ -233,19 +233,9 @@ impl RawPublisher {
     /// [`BusError::Closed`].
     pub fn put(&self, bytes: Vec<u8>, attachment: Option<Vec<u8>>) -> Result<(), BusError> {
         let attachment = attachment.map(ZBytes::from);
-        let put = match &self.carrier {
-            publish::Carrier::Plain(publisher) => publisher
-                .put(bytes)
-                .encoding(self.encoding.clone())
-                .attachment(attachment)
-                .wait(),
-            publish::Carrier::Advanced(publisher) => publisher
-                .put(bytes)
-                .encoding(self.encoding.clone())
-                .attachment(attachment)
-                .wait(),
-        };
-        put.map_err(|_| BusError::Closed)
+        self.carrier
+            .put(bytes, Some(self.encoding.clone()), attachment)
+            .map_err(|_| BusError::Closed)
     }
 
     /// Publishes that the key's value is deleted.
@@ -253,10 +243,6 @@ impl RawPublisher {
     /// # Errors
     /// [`BusError::Closed`].
     pub fn delete(&self) -> Result<(), BusError> {
-        let deleted = match &self.carrier {
-            publish::Carrier::Plain(publisher) => publisher.delete().wait(),
-            publish::Carrier::Advanced(publisher) => publisher.delete().wait(),
-        };
-        deleted.map_err(|_| BusError::Closed)
+        self.carrier.delete().map_err(|_| BusError::Closed)
     }
 }

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, RawReply, Router, RouterConfig};
-use zenav_protocol::messages::{StopReply, StopRequest};
+use zenav_protocol::messages::{Event, StopReply, StopRequest};
 use zenav_protocol::topics;
 
 use super::rig::{Cable, PATIENCE, client, clock, event, robot, router, router_at, serve_stop, stop, until, within};
@@ -277,6 +277,48 @@ async fn a_silent_cut_neither_blocks_the_writer_nor_loses_an_event() {
         start.elapsed()
     );
     assert!(longest < Duration::from_millis(200), "{longest:?}");
+}
+
+/// The link is cut for less than the time after which it would be opened anew, and no later event shows that the last ones are missing.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_last_events_lost_in_a_short_cut_are_requested_again() {
+    let (_router, endpoint) = router().await;
+    let cable = Cable::to(&endpoint).await;
+    let config = BusConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        is_narrow: true,
+        ..BusConfig::service("edge", &cable.endpoint)
+    };
+    let edge = within("opening", Bus::open(config)).await.unwrap();
+    let reader = client(&endpoint, "reader").await;
+    let mut events = reader.subscribe(&topics::EVENT, &["r1"], 1000).unwrap();
+    let publisher = edge.publisher(&topics::EVENT, &["r1"]).unwrap();
+    publisher.put(&event(1));
+    within("the first event", events.next()).await.unwrap();
+
+    cable.frozen.send_replace(true);
+    let last = 200;
+    for sequence in 2..=last {
+        // More than all buffers along the way take.
+        publisher.put(&Event {
+            boot_id: "b".repeat(15_000),
+            ..event(sequence)
+        });
+    }
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    cable.frozen.send_replace(false);
+    let start = Instant::now();
+    for sequence in 2..=last {
+        let event = within("an event from the time of the cut", events.next())
+            .await
+            .unwrap();
+        assert_eq!(event.message.sequence, sequence);
+    }
+    println!(
+        "{} events of a cut of 1 s caught up {:?} after it",
+        last - 1,
+        start.elapsed()
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

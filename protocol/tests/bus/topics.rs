@@ -200,6 +200,50 @@ async fn the_last_values_of_many_keys_reach_early_and_late_readers_of_one_key_an
     assert!((left(&within("the new writer's", one.next()).await.unwrap().message) - 7.0).abs() < 1e-9);
 }
 
+/// Missions of an orchestrator share a session.
+#[tokio::test(flavor = "multi_thread")]
+async fn goals_of_two_robots_whose_missions_share_a_session_reach_early_and_late_readers_of_all() {
+    let (_router, endpoint) = router().await;
+    let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
+    let topic = &topics::GOAL_STATE;
+    let mut early = reader.subscribe(topic, &["*", "*"], 1000).unwrap();
+    let robots = ["r1", "r2"];
+    let publishers = robots.map(|robot| writer.keyed_publisher(topic, &[robot, "*"], 8).unwrap());
+    let told: Vec<(&str, &str)> = robots
+        .into_iter()
+        .flat_map(|robot| ["Active", "Succeeded"].map(|state| (robot, state)))
+        .collect();
+    for (robot, publisher) in robots.into_iter().zip(&publishers) {
+        for (_, state) in told.iter().filter(|(of, _)| *of == robot) {
+            let state: GoalState = serde_json::from_value(
+                serde_json::json!({"id": "g", "robot": robot, "state": state, "accepted": 1, "request": {"x": 1.0, "y": 2.0}}),
+            )
+            .unwrap();
+            publisher.put(&[robot, "g"], &state);
+        }
+    }
+    let mut heard = std::collections::BTreeSet::new();
+    while heard.len() < told.len() {
+        let state = within("each state", early.next()).await.unwrap().message;
+        heard.insert((state.robot, format!("{:?}", state.state)));
+    }
+    assert!(
+        told.iter()
+            .all(|(robot, state)| heard.contains(&((*robot).to_owned(), (*state).to_owned())))
+    );
+    let mut late = reader.subscribe(topic, &["*", "*"], 1000).unwrap();
+    let mut kept = std::collections::BTreeSet::new();
+    while kept.len() < robots.len() {
+        kept.insert(
+            within("the last state of each robot's goal", late.next())
+                .await
+                .unwrap()
+                .message
+                .robot,
+        );
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn sessions_of_two_namespaces_on_one_router_do_not_see_one_another() {
     let (_router, endpoint) = router().await;

@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::time::Duration;
 
 use nalgebra::Point2;
+use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use zenav_fixtures::robot;
 use zenav_protocol::SCHEMA_VERSION;
@@ -15,9 +16,9 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{
-    BasedOn, EdgeState, Event, EventKind, GoalPhase, GoalRequest, InfoReply, LeaseReply, Link, MapInfo, MapPatch,
-    MapRef, MapReply, Mode, MotionReply, MotionRequest, Plan, PlanOrigin, PlanOutcome, PlanProgress, PlanReply,
-    PlanStatistics, PoseEstimate, Refusal, SimClock, SmoothReply, TILE, Tile, TrajectoryReply,
+    BasedOn, EdgeState, Event, EventKind, GoalPhase, GoalRequest, Heartbeat, InfoReply, LeaseReply, Link, MapInfo,
+    MapPatch, MapRef, MapReply, Mode, MotionReply, MotionRequest, Plan, PlanOrigin, PlanOutcome, PlanProgress,
+    PlanReply, PlanStatistics, PoseEstimate, Refusal, SimClock, SmoothReply, TILE, Tile, TrajectoryReply,
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
@@ -27,8 +28,11 @@ use crate::deployment::Deployment;
 use crate::process::Process;
 use crate::usage::{cpu_secs, memory};
 
-/// Tick of the clock; a mission's step is a multiple of it.
+/// Tick of the trial.
 const TICK: Duration = Duration::from_millis(5);
+/// Ticks between two messages of the clock; a mission's step is a multiple of it. Real robots have clocks of their own and no such messages,
+/// whose cost would otherwise be most of the router's.
+const CLOCK_EVERY: u32 = 5;
 /// Ticks between two poses, and between two states, each of which comes with a pose.
 const POSE_EVERY: u32 = 4;
 const STATE_EVERY: u32 = 20;
@@ -78,6 +82,13 @@ pub struct Findings {
     pub faults: [usize; 3],
 }
 
+/// A heartbeat that reached its robot.
+struct Heard {
+    robot: String,
+    at: Instant,
+    heartbeat: Heartbeat,
+}
+
 /// A robot that drives every plan perfectly.
 struct FakeRobot {
     bus: Bus,
@@ -99,8 +110,26 @@ struct FakeRobot {
 }
 
 impl FakeRobot {
-    fn new(bus: &Bus, name: String) -> Result<Self, BusError> {
+    /// Heartbeats come over the robot's own link, as with every robot: one link for all of them would drop some.
+    fn new(bus: &Bus, name: String, heard: mpsc::UnboundedSender<Heard>) -> Result<Self, BusError> {
         let chunks = [name.as_str()];
+        let mut heartbeats = bus.subscribe(&topics::HEARTBEAT, &chunks, 64)?;
+        let robot = name.clone();
+        tokio::spawn(async move {
+            while let Some(received) = heartbeats.next().await {
+                let heartbeat = received.message;
+                if heard
+                    .send(Heard {
+                        robot: robot.clone(),
+                        at: Instant::now(),
+                        heartbeat,
+                    })
+                    .is_err()
+                {
+                    return;
+                }
+            }
+        });
         Ok(Self {
             bus: bus.clone(),
             arbiter: LeaseArbiter::new(LEASE, 0, None),
@@ -308,10 +337,14 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     let router = deployment.start_router();
     let bus = deployment.bus().await;
     let mut fakes = BTreeMap::new();
+    let (heard, mut heartbeats) = mpsc::unbounded_channel();
     for names in names.chunks(ROBOTS_A_SESSION) {
         let bus = deployment.bus().await;
         for name in names {
-            fakes.insert(name.clone(), FakeRobot::new(&bus, name.clone()).map_err(text)?);
+            fakes.insert(
+                name.clone(),
+                FakeRobot::new(&bus, name.clone(), heard.clone()).map_err(text)?,
+            );
         }
     }
     let mut leases = bus.serve(&topics::LEASE, &["*"]).map_err(text)?;
@@ -322,7 +355,6 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     let alive = topics::alive_key(topics::ALIVE_WORKER, &["motion", "fake"]);
     let _alive = bus.declare_alive(alive).map_err(text)?;
     let clock = bus.publisher(&topics::SIM_CLOCK, &[]).map_err(text)?;
-    let mut heartbeats = bus.subscribe(&topics::HEARTBEAT, &["*"], 65536).map_err(text)?;
     let mut written = bus.subscribe(&topics::PLAN, &["*"], 65536).map_err(text)?;
     let mut ended = bus.subscribe(&topics::GOAL_STATE, &["*", "*"], 65536).map_err(text)?;
     let mut shards_left = names.chunks(robots.div_ceil(shards.max(1))).enumerate();
@@ -342,22 +374,24 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     };
     let mut ticks = interval(TICK.div_f64(speed));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    let (mut count, mut settling) = (0, None::<Instant>);
+    let (mut count, mut settling) = (0_u32, None::<Instant>);
     let mut measured: Option<(Instant, [f64; 2])> = None;
     loop {
         tokio::select! {
             biased;
-            Some(heartbeat) = heartbeats.next() => {
-                let Some(fake) = heartbeat.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
-                fake.arbiter.renew(now(), &heartbeat.message);
-                let last = fake.heartbeat.replace(Instant::now());
+            Some(Heard { robot, at, heartbeat }) = heartbeats.recv() => {
+                let Some(fake) = fakes.get_mut(&robot) else { continue };
+                fake.arbiter.renew(now(), &heartbeat);
+                let last = fake.heartbeat.replace(at);
                 if let (Some(last), Some(_)) = (last, measured) {
-                    findings.jitter.push((since(last).as_secs_f64() - HEARTBEAT_PERIOD).abs());
+                    findings.jitter.push(((at - last).mul_f64(speed).as_secs_f64() - HEARTBEAT_PERIOD).abs());
                 }
             }
             _ = ticks.tick() => {
                 count += 1;
-                clock.put(&SimClock { stamp: now() });
+                if count.is_multiple_of(CLOCK_EVERY) {
+                    clock.put(&SimClock { stamp: on_the_grid(now()) });
+                }
                 // In turn: robots do not publish all at once.
                 for (turn, fake) in (0..).zip(fakes.values_mut()) {
                     fake.tick(now(), count + turn);
@@ -456,6 +490,12 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     }
     bus.close().await;
     Ok(findings)
+}
+
+/// The nearest time that the clock shows.
+fn on_the_grid(now: Stamp) -> Stamp {
+    let period = (TICK * CLOCK_EVERY).as_secs_f64();
+    Stamp::from_secs((now.as_secs() / period).round() * period)
 }
 
 fn submit(fake: &mut FakeRobot, after: Duration) {
