@@ -28,8 +28,9 @@ use super::{Bus, BusError};
 use crate::codec::{self, CodecError, Encoding};
 use crate::topics::{Encode, Topic, Untyped};
 
-/// The number of a key's last value is repeated 0.5, 1, 2, 4, … s after it, at last in this period, after two minutes. A router compares a
-/// message on a key that nobody declared with the keys of all robots, so these are few.
+/// The number of a key's last value is repeated in periods 2, 4, 8, …, and at last in this one: after 1, 2, 4, … s and two minutes. A router
+/// compares a message on a key that nobody declared with the keys of all robots, so these are few, and none while a robot drives: its goal's
+/// progress is told twice a second.
 const LAST_PERIOD: u32 = 256;
 
 /// Publishes on the keys of a topic that match a pattern, and keeps the last values of the newest keys.
@@ -208,8 +209,7 @@ impl Kept {
     fn repeated(&mut self) -> impl Iterator<Item = Value> {
         self.values.iter_mut().filter_map(|value| {
             value.periods = value.periods.saturating_add(1);
-            let is_due = value.periods.is_power_of_two() && value.periods <= LAST_PERIOD;
-            is_due.then(|| value.clone())
+            is_due(value.periods).then(|| value.clone())
         })
     }
 
@@ -223,6 +223,11 @@ impl Kept {
         };
         self.values.iter().filter(is_asked).cloned().collect()
     }
+}
+
+/// Whether the number of a value is repeated in this period after it.
+fn is_due(periods: u32) -> bool {
+    periods.is_power_of_two() && (2..=LAST_PERIOD).contains(&periods)
 }
 
 impl Numbered for Mutex<Kept> {
@@ -259,4 +264,15 @@ fn numbers(range: &str) -> (u32, u32) {
 
 fn lock(kept: &Mutex<Kept>) -> MutexGuard<'_, Kept> {
     kept.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_number_of_a_goal_that_ended_is_repeated_ever_more_rarely_and_at_last_not_at_all() {
+        let due: Vec<u32> = (1..2000).filter(|periods| is_due(*periods)).collect();
+        assert_eq!(due, [2, 4, 8, 16, 32, 64, 128, 256]);
+    }
 }
