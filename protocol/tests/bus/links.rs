@@ -279,6 +279,16 @@ async fn a_silent_cut_neither_blocks_the_writer_nor_loses_an_event() {
     assert!(longest < Duration::from_millis(200), "{longest:?}");
 }
 
+/// Text that links cannot compress much.
+fn noise(seed: u64, letters: usize) -> String {
+    let mut state = seed;
+    let letter = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        char::from(b'?' + (state >> 58) as u8)
+    };
+    std::iter::repeat_with(letter).take(letters).collect()
+}
+
 /// The link is cut for less than the time after which it would be opened anew, and no later event shows that the last ones are missing.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_last_events_lost_in_a_short_cut_are_requested_again() {
@@ -301,7 +311,7 @@ async fn the_last_events_lost_in_a_short_cut_are_requested_again() {
     for sequence in 2..=last {
         // More than all buffers along the way take.
         publisher.put(&Event {
-            boot_id: "b".repeat(15_000),
+            boot_id: noise(sequence, 15_000),
             ..event(sequence)
         });
     }

@@ -208,29 +208,20 @@ async fn goals_of_two_robots_whose_missions_share_a_session_reach_early_and_late
     let topic = &topics::GOAL_STATE;
     let mut early = reader.subscribe(topic, &["*", "*"], 1000).unwrap();
     let robots = ["r1", "r2"];
-    let publishers = robots.map(|robot| writer.keyed_publisher(topic, &[robot, "*"], 8).unwrap());
-    let told: Vec<(&str, &str)> = robots
-        .into_iter()
-        .flat_map(|robot| ["Active", "Succeeded"].map(|state| (robot, state)))
-        .collect();
-    for (robot, publisher) in robots.into_iter().zip(&publishers) {
-        for (_, state) in told.iter().filter(|(of, _)| *of == robot) {
-            let state: GoalState = serde_json::from_value(
-                serde_json::json!({"id": "g", "robot": robot, "state": state, "accepted": 1, "request": {"x": 1.0, "y": 2.0}}),
-            )
-            .unwrap();
+    let mut publishers = Vec::new();
+    // One after the other: Zenoh asserts something about its routes, in debug builds alone, that does not hold while keys are declared and used at
+    // the same time.
+    for robot in robots {
+        let publisher = writer.keyed_publisher(topic, &[robot, "*"], 8).unwrap();
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        for told in ["Active", "Succeeded"] {
+            let state = serde_json::json!({"id": "g", "robot": robot, "state": told, "accepted": 1, "request": {"x": 1.0, "y": 2.0}});
+            let state: GoalState = serde_json::from_value(state).unwrap();
             publisher.put(&[robot, "g"], &state);
+            assert_eq!(within("each state", early.next()).await.unwrap().message, state);
         }
+        publishers.push(publisher);
     }
-    let mut heard = std::collections::BTreeSet::new();
-    while heard.len() < told.len() {
-        let state = within("each state", early.next()).await.unwrap().message;
-        heard.insert((state.robot, format!("{:?}", state.state)));
-    }
-    assert!(
-        told.iter()
-            .all(|(robot, state)| heard.contains(&((*robot).to_owned(), (*state).to_owned())))
-    );
     let mut late = reader.subscribe(topic, &["*", "*"], 1000).unwrap();
     let mut kept = std::collections::BTreeSet::new();
     while kept.len() < robots.len() {
