@@ -8,7 +8,7 @@
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 
 use serde::Serialize;
 use zenoh::bytes::ZBytes;
@@ -23,14 +23,15 @@ use zenoh::{Session, Wait};
 
 use super::flow::Departures;
 use super::inbox::Complaints;
+use super::limiter::lock;
 use super::repeat::{Numbered, Repeats, announced};
 use super::{Bus, BusError};
 use crate::codec::{self, CodecError, Encoding};
 use crate::topics::{Encode, Topic, Untyped};
 
 /// The number of a key's last value is repeated in periods 2, 4, 8, …, and at last in this one: after 1, 2, 4, … s and two minutes. A router
-/// compares a message on a key that nobody declared with the keys of all robots, so these are few, and none while a robot drives: its goal's
-/// progress is told twice a second.
+/// compares a message on a key that nobody declared with the keys of all robots, so these are few, and in real time none while a robot
+/// drives: its goal's progress is told twice a second.
 const LAST_PERIOD: u32 = 256;
 
 /// Publishes on the keys of a topic that match a pattern, and keeps the last values of the newest keys.
@@ -260,10 +261,6 @@ fn answer(query: &Query, asked: &[Value], zid: ZenohId, encoding: Encoding) {
 fn numbers(range: &str) -> (u32, u32) {
     let (from, to) = range.split_once("..").unwrap_or((range, range));
     (from.parse().unwrap_or(0), to.parse().unwrap_or(u32::MAX))
-}
-
-fn lock(kept: &Mutex<Kept>) -> MutexGuard<'_, Kept> {
-    kept.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

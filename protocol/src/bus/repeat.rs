@@ -6,12 +6,14 @@
 //! new one brings all last values. So a number is repeated every [`PERIOD`] for longer than that takes, and every [`RARELY`] periods after that.
 
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
 use zenoh::pubsub::Publisher;
 use zenoh::session::EntityId;
 use zenoh::{Session, Wait};
+
+use super::limiter::lock;
 
 /// Shortest pause between two repetitions: the delay until the loss of a last value is noticed.
 const PERIOD: Duration = Duration::from_millis(500);
@@ -131,10 +133,6 @@ impl Count {
 /// The key on which a source announces itself, is asked for its values, and repeats its numbers: that of Zenoh's advanced publishers.
 pub(super) fn announced(key: &str, zid: impl std::fmt::Display, source: u32) -> String {
     format!("{key}/@adv/pub/{zid}/{source}/_")
-}
-
-fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

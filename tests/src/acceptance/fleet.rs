@@ -30,8 +30,8 @@ use crate::usage::{cpu_secs, memory};
 
 /// Tick of the trial.
 const TICK: Duration = Duration::from_millis(5);
-/// Ticks between two messages of the clock; a mission's step is a multiple of it. Real robots have clocks of their own and no such messages,
-/// whose cost would otherwise be most of the router's.
+/// Ticks between two messages of the clock; a mission's step is a multiple of it. Real robots have clocks of their own and no such messages:
+/// one at each tick was a sixth of the router's work.
 const CLOCK_EVERY: u32 = 5;
 /// Ticks between two poses, and between two states, each of which comes with a pose.
 const POSE_EVERY: u32 = 4;
@@ -110,7 +110,7 @@ struct FakeRobot {
 }
 
 impl FakeRobot {
-    /// Heartbeats come over the robot's own link, as with every robot: one link for all of them would drop some.
+    /// Heartbeats come over the link of its session, as with every robot, not over one link for all robots.
     fn new(bus: &Bus, name: String, heard: mpsc::UnboundedSender<Heard>) -> Result<Self, BusError> {
         let chunks = [name.as_str()];
         let mut heartbeats = bus.subscribe(&topics::HEARTBEAT, &chunks, 64)?;
@@ -492,7 +492,7 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     Ok(findings)
 }
 
-/// The nearest time that the clock shows.
+/// The nearest multiple of the clock's period: a stamp just before a step's time would delay the step by a period.
 fn on_the_grid(now: Stamp) -> Stamp {
     let period = (TICK * CLOCK_EVERY).as_secs_f64();
     Stamp::from_secs((now.as_secs() / period).round() * period)
